@@ -17,6 +17,7 @@ EXAMPLES = """
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
   adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
+  adaptsim train env.toml --run runs/f --diagnosis out             Omega and E's first mean from randomisation.toml
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """  # noqa: E501
 
@@ -33,6 +34,11 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
     parser.add_argument(
         "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
+    )
+    parser.add_argument(
+        "--diagnosis",
+        metavar="OUT",
+        help="of an env.toml, a folder of `adaptsim diagnose`: model, Omega and E's first mean",
     )
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
@@ -77,8 +83,20 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     )
     if args.model:
         start = replace(start, task=dict(start.task) | _of_model(args))
+    if args.diagnosis:
+        start = replace(start, task=_of_diagnosis(dict(start.task), args))
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
     return config.with_settings(start, settings)
+
+
+def _of_diagnosis(options: dict[str, Any], args: argparse.Namespace) -> dict[str, Any]:
+    """Options of an environment's task by `--diagnosis`."""
+    from adaptsim_jax.core.errors import BadInput
+    from adaptsim_jax.environments.diagnosed import diagnosed
+
+    if args.task != "environment":
+        raise BadInput(f"--diagnosis: '{args.task}' is no env.toml; give --model instead")
+    return diagnosed(options, args.diagnosis)
 
 
 def _of_model(args: argparse.Namespace) -> dict[str, Any]:
