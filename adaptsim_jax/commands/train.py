@@ -23,7 +23,7 @@ EXAMPLES = """
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import settable
+    from adaptsim_jax.commands.parser import of_diagnosis, settable
 
     parser.add_argument(
         "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
@@ -35,11 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
     )
-    parser.add_argument(
-        "--diagnosis",
-        metavar="OUT",
-        help="of an env.toml, a folder of `adaptsim diagnose`: model, Omega and E's first mean",
-    )
+    of_diagnosis(parser)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
     names = (
@@ -83,20 +79,8 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     )
     if args.model:
         start = replace(start, task=dict(start.task) | _of_model(args))
-    if args.diagnosis:
-        start = replace(start, task=_of_diagnosis(dict(start.task), args))
     settings = [*args.set, *([f"seed={args.seed}"] if args.seed_given else [])]
     return config.with_settings(start, settings)
-
-
-def _of_diagnosis(options: dict[str, Any], args: argparse.Namespace) -> dict[str, Any]:
-    """Options of an environment's task by `--diagnosis`."""
-    from adaptsim_jax.core.errors import BadInput
-    from adaptsim_jax.environments.diagnosed import diagnosed
-
-    if args.task != "environment":
-        raise BadInput(f"--diagnosis: '{args.task}' is no env.toml; give --model instead")
-    return diagnosed(options, args.diagnosis)
 
 
 def _of_model(args: argparse.Namespace) -> dict[str, Any]:

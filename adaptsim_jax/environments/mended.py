@@ -59,7 +59,7 @@ def mended(env: Any, path: str | Path) -> Any:
     env = getattr(env, "declared", env)
     keeper = holders(env, str(path))[1]
     form = read_form(table, str(path), OWN)
-    declared = _declared(path.parent / form.model)
+    declared = declared_machine(path.parent / form.model)
     found = applied(table, str(path), declared)
     native = copy.deepcopy(getattr(env, keeper))
     _put_model(native, declared, found, form)
@@ -174,7 +174,7 @@ def _replaced(state: Any, **values: Any) -> Any:
     return state._replace(**values) if hasattr(state, "_replace") else state.replace(**values)
 
 
-def _declared(path: Path) -> Machine:
+def declared_machine(path: Path) -> Machine:
     """The machine of a model file, commanded by its actuators, without a recording."""
     if not path.exists():
         raise BadInput(
