@@ -128,7 +128,7 @@ def _numbers(effect: Effect, columns: Columns, giving: np.ndarray) -> dict[str, 
         column = np.asarray(columns.get((effect.name, p.name), np.full(len(giving), p.default)))
         if effect in IN_MODEL and not p.shape:
             column = np.where(giving, column, p.default)
-        out[p.name] = column.astype(np.float32)[:, None]
+        out[p.name] = column.astype(float)[:, None]
     return out
 
 

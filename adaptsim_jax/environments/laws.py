@@ -302,6 +302,10 @@ def _bristles(laws: Laws, total, bent, speed, step):
 
 def stepped(laws: Laws, model: Any, data: Any, ctrl: jax.Array, move: Any = mjx_step) -> Any:
     """`data` one of the model's steps later by `move(model, data)`, under `ctrl [nu]`."""
+    given = data.qfrc_applied
+    if not laws.joints:  # a file's polynomials alone
+        pushed = given + _polynomials(laws, model, data)
+        return move(model, data.replace(ctrl=ctrl, qfrc_applied=pushed)).replace(qfrc_applied=given)
     memory = _unravelled(laws)(data.userdata)
     step, n = model.opt.timestep, len(laws.joints)
     at, dof = jnp.asarray(laws.qpos), jnp.asarray(laws.dof)
@@ -327,7 +331,6 @@ def stepped(laws: Laws, model: Any, data: Any, ctrl: jax.Array, move: Any = mjx_
         on, pull, damping, most = _bristles(laws, level, memory.bent, pace, step)
         force, more = force + pull - damping * v, more + step * damping
         level = jnp.where(on, 0.0, level)
-    given = data.qfrc_applied
     pushed = given.at[dof].add(force) + _polynomials(laws, model, data)
     edits = {"dof_armature": model.dof_armature.at[dof].add(more)}
     if laws.rubbing:
@@ -380,7 +383,7 @@ def advanced(
         laws = replace(laws, damping=None, stiffness=None)
 
         def move(model, data):
-            return other(model, data, data.ctrl, 1)
+            return other(model, data.replace(userdata=data.userdata[:0]), data.ctrl, 1)
 
     def one(data, _):
         return stepped(laws, model, data, ctrl, move), None

@@ -105,9 +105,10 @@ def as_asked(env: Any, where: str = "env") -> Any:
     """`env`, or a copy that has what its file asks of MJX and MJX ignores: delays of actuators,
     polynomials of damping and stiffness. BadInput where that cannot be.
     """
-    if not hasattr(env, "mj_model") or hasattr(env, "laws"):
+    own = getattr(env, "mj_model", None) or getattr(getattr(env, "sys", None), "mj_model", None)
+    if own is None or hasattr(env, "laws"):
         return env
-    native = copy.deepcopy(env.mj_model)
+    native = copy.deepcopy(own)
     laws = laws_of(native, None, where)
     return env if laws is None else lawful(env, native, laws)
 

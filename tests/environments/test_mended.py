@@ -40,6 +40,7 @@ def effect(name, value, parameter, joint="slide"):
     )
 
 
+PUSHES = np.where(np.arange(10) < 4, 1.0, -0.7)
 NUMBERS = (
     effect("viscous", 0.7, "damping")
     + effect("coulomb", 0.3, "level")
@@ -74,23 +75,25 @@ def test_the_model_has_what_was_found_and_the_rest_as_it_was(tmp_path):
     def places(values):
         world = setting.play.world(values)
 
-        def step(live, _):
-            return (setting.play.step(world, live, jnp.ones(1)),) * 2
+        def step(live, action):
+            return (setting.play.step(world, live, action),) * 2
 
-        return jax.lax.scan(step, setting.play.reset(world, jax.random.key(0)), None, 10)[1].obs[
-            :, 0
-        ]
+        first = setting.play.reset(world, jax.random.key(0))
+        return jax.lax.scan(step, first, jnp.asarray(PUSHES)[:, None])[1].obs[:, 0]
 
-    # a constant push, late by 3/4 of a step of 40 ms, by hand in MuJoCo C with steps of 20 ms
+    # late by one and a half steps of 20 ms, by hand in MuJoCo C
     model, data = mujoco.MjModel.from_xml_path(str(path.parent / "found.xml")), None
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     data.qpos[0] = 0.5
     expected = []
-    for i in range(10):
-        data.ctrl[0] = 0.25 if i == 0 else 1.0
-        mujoco.mj_step(model, data, 2)
+    sent = np.repeat(PUSHES, 2)
+    before = np.concatenate([[PUSHES[0]] * 2, sent])
+    for i in range(20):
+        data.ctrl[0] = 0.5 * (before[i] + before[i + 1])
+        mujoco.mj_step(model, data)
         expected.append(data.qpos[0])
+    expected = expected[1::2]
     np.testing.assert_allclose(places(values), expected, atol=2e-4)
 
 
