@@ -25,6 +25,7 @@ from adaptsim_jax.attribution.acting import (
 )
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.mechanisms import equations
 
 mjx_step = mjx_module().step  # itself: what traces an environment puts another in its place
 
@@ -218,13 +219,12 @@ def _lagged(effect: Effect, p, rows, state, step):
 
 class _Acting(NamedTuple):
     """What acts over a step, `[n]` each: `extra` force on the links beside MJX's own, `level` of
-    dry friction, `inertia`; torque of the drives; `ahead`, `rate` after it.
+    dry friction, `inertia`; `ahead`, `rate` after it.
     """
 
     extra: Any
     level: Any
     inertia: Any
-    torque: Any
     ahead: Any
     rate: Any
 
@@ -237,7 +237,6 @@ def _acting(laws: Laws, at, acceleration, u, t, step) -> _Acting:
     time = jnp.reshape(t, (1, 1))
     own = forces(laws.model, laws.values, q, v, u[:, None], time)
     plain = actuated(laws.values._replace(effects={}), q, v, u[:, None])[0]
-    torque = actuated(laws.values, q, v, u[:, None])[0]
     smooth, level, inertia = own.smooth, own.level, own.inertia
     if any(laws.giving):
         give = jnp.asarray(laws.giving)[:, None]
@@ -245,7 +244,7 @@ def _acting(laws: Laws, at, acceleration, u, t, step) -> _Acting:
         spring, ahead, rate = _rotors(laws, link, (ahead, rate), u[:, None], (time, step))
         smooth = jnp.where(give, spring, smooth)
         level, inertia = jnp.where(give, 0.0, level), jnp.where(give, 0.0, inertia)
-    return _Acting(*(z[:, 0] for z in (smooth - plain, level, inertia, torque, ahead, rate)))
+    return _Acting(*(z[:, 0] for z in (smooth - plain, level, inertia, ahead, rate)))
 
 
 def _rotors(laws: Laws, link, state, u, when):
@@ -274,7 +273,20 @@ def _rotors(laws: Laws, link, state, u, when):
     start = (q - state[0], v - state[1], jnp.zeros_like(q))
     (rotor, speed, spring), _ = jax.lax.scan(move, start, jnp.arange(ROTOR_STEPS * 1.0))
     end = q + step * v + 0.5 * step * step * a
-    return spring, end - rotor, v + step * a - speed
+    give = drive.compliance > 0.0
+    ahead, rate = (jnp.where(give, z, 0.0) for z in (end - rotor, v + step * a - speed))
+    return spring, ahead, rate
+
+
+def _wound(laws: Laws, q, v, u, t):
+    """How far links are ahead of rotors `[n]` at the start: at rest in their springs, as `replay`
+    begins.
+    """
+    q, v, values, tree = q[:, None], v[:, None], laws.values, laws.model.tree
+    act = forces(laws.model, values, q, v, u[:, None], jnp.reshape(t, (1, 1)))
+    a = equations.acceleration(tree, values.inertial, q, v, act.smooth, act.inertia, values.gravity)
+    carried = act.smooth - act.inertia * a
+    return drives.yielded(drive_of(laws.model, values), carried)[:, 0]
 
 
 def _bristles(laws: Laws, total, bent, speed, step):
@@ -322,7 +334,10 @@ def stepped(laws: Laws, model: Any, data: Any, ctrl: jax.Array, move: Any = mjx_
     if any(k >= 0 for k in laws.act):
         act = jnp.asarray(laws.act)
         u = jnp.where(act >= 0, data.act[act], u)
-    state = jnp.stack([q, v, memory.ahead, memory.rate])
+    ahead = memory.ahead
+    if any(laws.giving):
+        ahead = jnp.where(memory.count > 0, ahead, _wound(laws, q, v, u, data.time))
+    state = jnp.stack([q, v, ahead, memory.rate])
     acting = _acting(laws, state, data.qacc[dof], u, data.time, step)
     force, level = acting.extra, model.dof_frictionloss[dof] + acting.level
     more = acting.inertia
@@ -339,7 +354,9 @@ def stepped(laws: Laws, model: Any, data: Any, ctrl: jax.Array, move: Any = mjx_
     bent = memory.bent
     if any(laws.yielding):
         bent = jnp.clip(bent + step * after.qvel[dof], -most, most)
-    now = jnp.stack([after.qpos[at], after.qvel[dof], acting.torque])
+    q, v = after.qpos[at], after.qvel[dof]
+    torque = actuated(laws.values, q[:, None], v[:, None], u[:, None])[0][:, 0]
+    now = jnp.stack([q, v, torque])
     if any(laws.giving):
         link = drive_of(laws.model, laws.values).link[:, 0]
         back = jnp.stack([acting.ahead, acting.rate, jnp.zeros(n)])

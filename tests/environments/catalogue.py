@@ -2,7 +2,7 @@
 environment that is mended, and `replay`'s own simulation from the same start.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -12,11 +12,10 @@ import numpy as np
 
 from adaptsim_jax.attribution.acting import ActingModel, Values, compliant
 from adaptsim_jax.attribution.model_toml import applied
-from adaptsim_jax.attribution.simulate import Scheme, simulate, with_drives
+from adaptsim_jax.attribution.simulate import Scheme, measure, simulate, with_drives
 from adaptsim_jax.core import config
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.environments.found_laws import columns_of
-from adaptsim_jax.environments.laws import Laws
 from adaptsim_jax.environments.mended import declared_machine, mended
 from adaptsim_jax.environments.own import ModelEnvironment
 from adaptsim_jax.environments.setting import environment
@@ -79,7 +78,7 @@ WORLDS: dict[str, list[tuple[str, str, dict[str, float]]]] = {
     "drive_compliance": [("drive_compliance", E, {"compliance": 0.05})],
     "drive_play": [("drive_play", E, {"gap": 0.05, "width": 0.1})],
     "drive_elasticity": [("drive_elasticity", E, DRIVE | {"link": 1.0, "control": 0.0})],
-    "drive_backlash": [("drive_backlash", E, DRIVE | {"gap": 0.06, "link": 0.0, "control": 0.0})],
+    "drive_backlash": [("drive_backlash", E, DRIVE | {"gap": 0.06, "link": 1.0, "control": 0.0})],
     "backlash": [("backlash", E, {"gap": 0.06})],
     "tilt": [("tilt", "base", {"about_x": 0.05, "about_y": 0.1})],
     "inertia": [],
@@ -118,6 +117,11 @@ def arm() -> ModelEnvironment:
 def rolled(env: Any) -> np.ndarray:
     """Angles [T + 1, 2] that the policy sees, under `ACTIONS`."""
     sim = environment(env)
+    return np.asarray(program(sim)(sim.model))
+
+
+def program(sim: Any) -> Any:
+    """`(model) -> [T + 1, 2]`, compiled."""
 
     @jax.jit
     def run(model):
@@ -130,7 +134,50 @@ def rolled(env: Any) -> np.ndarray:
         seen = jax.lax.scan(step, first, jnp.asarray(ACTIONS, jnp.float32))[1]
         return jnp.concatenate([sim.observed(first)[0][None], seen])
 
-    return np.asarray(run(sim.model))
+    return run
+
+
+class Whole:
+    """One program with all effects on at both joints but those of drives: a world is its numbers,
+    which are arguments.
+    """
+
+    def __init__(self, folder: Path):
+        (folder / "declared.xml").write_text(ARM)
+        text = 'schema = 2\ntask = "mechanism"\nmodel = "declared.xml"\n'
+        for e in (e for e in MACHINE if e.place not in ("model", "drive")):
+            for joint in (S, E):
+                text += f'[[effects]]\nname = "{e.name}"\nwhere = "{joint}"\n'
+                rows = (f"[effects.parameters.{a.name}]\nvalue = 1e-9\n" for a in e.amplitudes)
+                text += "".join(rows)
+        path = folder / "model.toml"
+        path.write_text(text)
+        sim = environment(mended(arm(), path))
+        self.model, self.laws = sim.model
+        self.run = program(sim)
+
+    def rolled(self, env: Any) -> np.ndarray:
+        """Angles [T + 1, 2] of a mended arm, by the numbers of its model and laws."""
+        model = environment(env).model
+        own, laws = model if isinstance(model, tuple) else (model, None)
+        given = {} if laws is None else laws.values.effects
+        effects = {}
+        for e in self.laws.model.effects:
+            off = {p.name: np.full((2, 1), p.default) for p in e.parameters}
+            effects[e.name] = off | dict(given.get(e.name, {}))
+        values = self.laws.values._replace(effects=effects)
+        if laws is not None:
+            values = values._replace(actuator=laws.values.actuator)
+        names = [f.name for f in fields(self.model) if f.name not in ("opt", "stat", "_impl")]
+        arrays = {n: getattr(own, n) for n in names if _is_number(getattr(self.model, n))}
+        edits = arrays | {"opt.gravity": own.opt.gravity}
+        edits["dof_frictionloss"] = jnp.maximum(own.dof_frictionloss, 1e-6)
+        whole = self.model.tree_replace(edits)
+        return np.asarray(self.run((whole, replace(self.laws, values=values))))
+
+
+def _is_number(x: Any) -> bool:
+    return isinstance(x, jax.Array) and jnp.issubdtype(x.dtype, jnp.floating)
 
 
 def replayed(path: Path) -> np.ndarray:
@@ -168,7 +215,9 @@ def replayed(path: Path) -> np.ndarray:
         yields = bool(np.any(numbers["presliding"]["compliance"]))
         scheme = Scheme(20, True, giving, past, yields)
         path_ = simulate(model, values, time, stamp, command, x0, scheme)
-        return np.asarray(path_.sensed)[:, :2, 0]
+        # a policy reads before its command is there, a log's row has both
+        before = jnp.concatenate([path_.u[:1], path_.u[:-1]])
+        return np.asarray(measure(model, values, time, path_.x, before))[:, :2, 0]
 
 
 @dataclass(frozen=True)
@@ -179,17 +228,19 @@ class Difference:
     effect: np.ndarray
 
 
-def difference(folder: Path, world: str, plain: np.ndarray) -> Difference:
-    """Of a world; plain [T + 1, 2]: the arm as declared."""
+def difference(
+    folder: Path, world: str, plain: np.ndarray, whole: Whole | None = None
+) -> Difference:
+    """Of a world; plain [T + 1, 2]: the arm as declared. whole: What runs it; None: a program of
+    its own.
+    """
     path = written(folder, world)
-    one, other = rolled(mended(arm(), path)), replayed(path)
+    env = mended(arm(), path)
+    one = rolled(env) if whole is None else whole.rolled(env)
+    other = replayed(path)
 
     def rms(x):
-        return np.sqrt(np.mean(np.square(x), 0))
+        # at the first row no command is there yet, the last has no step after it
+        return np.sqrt(np.mean(np.square(x[1:-1]), 0))
 
     return Difference(rms(one - other), rms(other - plain))
-
-
-def laws(folder: Path, world: str) -> Laws | None:
-    """The laws of a world's environment."""
-    return getattr(mended(arm(), written(folder, world)), "laws", None)
