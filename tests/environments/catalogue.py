@@ -4,6 +4,7 @@ environment that is mended, and `replay`'s own simulation from the same start.
 
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import jax
@@ -20,6 +21,8 @@ from adaptsim_jax.environments.mended import declared_machine, mended
 from adaptsim_jax.environments.own import ModelEnvironment
 from adaptsim_jax.environments.setting import environment
 
+OF_ITS_OWN = ("drive_elasticity", "drive_backlash", "stribeck", "servo")
+"""Worlds that have a program of their own, not numbers of the one that all others share."""
 STEP, CONTROL, T = 0.002, 0.02, 100  # s, s, actions
 START = np.array([0.3, -0.2])
 ARM = f"""
@@ -244,3 +247,19 @@ def difference(
         return np.sqrt(np.mean(np.square(x[1:-1]), 0))
 
     return Difference(rms(one - other), rms(other - plain))
+
+
+def main() -> None:
+    """A line for each world."""
+    with TemporaryDirectory() as one, TemporaryDirectory() as other:
+        folder, whole = Path(one), Whole(Path(other))
+        plain = replayed(written(folder, "nothing"))
+        print("world, mrad by which both differ and that it does, shoulder and elbow")
+        for world in WORLDS:
+            found = difference(folder, world, plain, None if world in OF_ITS_OWN else whole)
+            numbers = " ".join(f"{1e3 * z:7.2f}" for z in (*found.error, *found.effect))
+            print(f"{world:22s} {numbers}", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -39,17 +39,9 @@ def whole(tmp_path_factory):
     return catalogue.Whole(tmp_path_factory.mktemp("whole"))
 
 
-OF_ITS_OWN = (
-    "drive_elasticity",
-    "drive_backlash",
-    "stribeck",
-    "servo",
-)  # programs, not numbers of one
-
-
 @pytest.mark.parametrize("world", [w for w in catalogue.WORLDS if w != "nothing"])
 def test_a_mended_environment_moves_as_replay_does(world, plain, integrators, whole, tmp_path):
-    one = None if world in OF_ITS_OWN else whole
+    one = None if world in catalogue.OF_ITS_OWN else whole
     found = catalogue.difference(tmp_path, world, plain, one)
     assert found.error.max() <= MOST * integrators, (found, integrators)
     assert found.effect.max() > MOST * integrators  # else the world shows nothing
