@@ -27,7 +27,7 @@ def account(e: Examined) -> Account:
     """What the objective that judged contributes to the report, and what both say of the models."""
     q = e.inquiry
     made = account_of(q.machine, e.problem, e.found, q.criteria, q.horizon)
-    if e.judge == TORQUE and e.by_torque is not None and not e.simulated:
+    if e.judge == TORQUE and e.by_torque is not None:
         assert q.factor is not None
         torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE], q.factor)
         made = by_torque(made, e.problem, torques, q.criteria)

@@ -139,8 +139,6 @@ def candidates(problem: TreeProblem, vector: Vector, reach: Reach) -> list[Joint
     out = []
     for effect in problem.effects:
         free = _free_joints(problem, effect, taken)
-        if not effect.traits.offered:
-            continue
         if effect.place == "model":
             out += _of_model(problem, effect.name, taken)
             continue

@@ -5,7 +5,7 @@ a limit or a delay is. `servo_files.py` writes the files that hold it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
+from adaptsim_jax.attribution.posed import excluded_of
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.report import (
@@ -30,7 +31,7 @@ from adaptsim_jax.diagnosis.report import (
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import unit_at
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY, POSITION_GAIN, SATURATION
-from adaptsim_jax.effects.joints.catalogue import BODY
+from adaptsim_jax.effects.joints.catalogue import BODY, MACHINE
 from adaptsim_jax.effects.joints.forces import ARMATURE, BIAS, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
@@ -61,6 +62,7 @@ NAMES = {
     "delay": DELAY.name,
     "lag": ACTUATOR_LAG.name,
     "payload": BODY.name,
+    "reach": BODY.name,
     "lift": LIFT,
 }
 """The name of the effect that a fitted number of a servo belongs to."""
@@ -135,9 +137,16 @@ class ServoDiagnosis:
         return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
 
 
-def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
-    """What the closed loop shows; None where not all joints follow targets, and where it names
-    nothing though more than noise is left.
+def diagnosed(
+    machine: Machine, exclude: Sequence[str], few: int, notify: Note
+) -> ServoDiagnosis | None:
+    """What the closed loop shows; None where not all joints follow targets, and of a machine of few
+    joints where it names nothing though more than noise is left: stretches can show what no law of
+    a servo has (elastic drives, play).
+
+    Args:
+        exclude: Effects that are not considered, as of `--exclude`.
+        few: Joints up to which stretches are searched.
     """
     source = machine.source
     if source is None:
@@ -146,10 +155,20 @@ def diagnosed(machine: Machine, notify: Note) -> ServoDiagnosis | None:
     recording = recording_of(source, log)
     if recording is None:
         return None
-    found = identified(recording, notify)
-    if not found.members and found.over_noise.max() > CLOSED_LOOP.lacks_nothing:
+    names = {e.name for e in MACHINE} | {*NAMES.values()}
+    everywhere, at_joints = excluded_of(exclude, names, machine.tree.joint_names)
+    servos = tuple(_without(s, everywhere, at_joints) for s in recording.servos)
+    found = identified(replace(recording, servos=servos), notify)
+    left = found.over_noise.max() > CLOSED_LOOP.lacks_nothing
+    if left and not found.members and len(servos) <= few:
         return None
     return ServoDiagnosis(machine, source, found, _effects(found.members), scale_spread(found))
+
+
+def _without(servo: Servo, everywhere: set[str], at_joints: frozenset[tuple[str, int]]) -> Servo:
+    """A servo of which the numbers of excluded effects are the file's."""
+    gone = {n for n, e in NAMES.items() if e in everywhere or (e, servo.joint) in at_joints}
+    return replace(servo, excluded=frozenset(gone))
 
 
 def _effects(members: Sequence[LawMember]) -> tuple[ServoEffect, ...]:
@@ -193,7 +212,15 @@ def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
     m, pieces = e.strongest, len(d.recording.pieces)
     joints = len(d.recording.servos) if e.joint == SHARED_BY_ALL else 1
     gain = 1.0 - float(np.exp(-m.gain / joints))
-    return Named(e, Test(gain, m.p, m.better, pieces, pieces), _steadiness(d, e))
+    test = Test(gain, m.p, m.better, pieces, pieces)
+    return Named(e, test, _steadiness(d, e), _alternatives(d, e))
+
+
+def _alternatives(d: ServoDiagnosis, e: ServoEffect) -> tuple[ServoEffect, ...]:
+    """What says the same of whole trials as a mass that is carried."""
+    if e.name != BODY.name:
+        return ()
+    return tuple(ServoEffect(POSITION_GAIN.name, j, ()) for j in d.found.instead)
 
 
 def _steadiness(d: ServoDiagnosis, e: ServoEffect) -> float:
@@ -221,7 +248,7 @@ def _label(d: ServoDiagnosis, e: ServoEffect) -> Label:
     servos = d.recording.servos
     if e.name == BODY.name:
         carried = d.source.model.body(d.recording.model.body(d.recording.hand).name).name
-        joint = next((s.name for s in reversed(servos)), carried)
+        joint = servos[-1].name if servos else carried
         return Label(e.name, joint)
     if e.joint == SHARED_BY_ALL:
         return Label(e.name, "all joints" if len(servos) > 1 else servos[0].name)
@@ -327,10 +354,11 @@ def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, dict[str, Any]]:
     j = max(e.joint, 0)
     s, law = d.recording.servos[j], d.found.laws[j]
     out = {}
-    for m in e.members:
-        joint, name = m.coordinates[-1]
+    for joint, name in (c for m in e.members for c in m.coordinates):
         key, value, file, unit, wide = _number(d, j, name, (joint, name))
         out[key] = _row(value, wide, unit) | {"file": file}
+    if "reach" in out:
+        out["reach"]["meaning"] = "outward from the centre of mass of the body that carries it"
     if e.name == SATURATION.name and not law.inside:
         inner = float(inner_damping(s, law.damping))
         out["unloaded_speed"] = _row(law.limit / max(inner, 1e-12), 0.0, _unit(s, "rad/s"))
@@ -380,6 +408,7 @@ UNIT_OF = {
     "spring": "N m/rad",
     "zero": "rad",
     "payload": "kg",
+    "reach": "m",
     "lift": "1",
     "delay": "s",
     "lag": "s",
@@ -468,16 +497,17 @@ def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
         line.append(np.sqrt(np.square(rest).mean(0)))
     servos = d.recording.servos
     span = float(np.median([t.time[-1] for t in d.recording.trials]))
-    middle = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))
     units = tuple("m" if s.slides else "rad" for s in servos)
-    return Measure(WHOLE, span, *middle, tuple(s.name for s in servos), units)
+    names = tuple(s.name for s in servos)
+    left, by_line, at_rest = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))
+    return Measure(WHOLE, span, left, by_line, at_rest, names, units)
 
 
 def _notes(d: ServoDiagnosis) -> list[str]:
     notes = [
         "Servos were simulated in closed loop over whole trials, commands held from row to row; "
-        "efforts, if logged, were not used. Errors are of the trials that were fitted, a few "
-        "numbers to thousands of rows: replay other trials before you rely on them."
+        "efforts, if logged, were not used. Each piece's errors are by the numbers that the other "
+        "pieces give."
     ]
     if not d.found.laws[0].sharp:
         notes.append(

@@ -52,9 +52,6 @@ class PriorCriteria:
 
     # standard deviation of a drive's gain, as a share, about the one that weight and inertia gave
     estimated_gain: float = 0.1
-    # of a joint's inertia, at least, that damping by another speed leaves it: it would not be
-    # positive
-    min_inertia: float = 0.5
     inertia: float = 0.3  # standard deviation of a coordinate of a body's inertial parameters (1)
     # times, within which a body's mass and moments are taken to be those of the file
     body_factor: float = 3.0
@@ -118,7 +115,6 @@ class WindowCriteria:
     # to its level
     clear: float = 0.1
     speed_noises: float = 3.0  # times the noise of a speed, likewise
-    smooth: float = 0.3  # of a window, over which forces are averaged
     memory: float = 1.0  # s, over which what is left of neighbours is taken to be alike at most
 
 
@@ -132,9 +128,6 @@ class BalanceCriteria:
     # off; at most
     at_end: float = 0.05
     at_end_share: float = 0.02  # of a range's width, the same
-    # of a joint's usual force: what a limit cuts of spikes beyond it makes a row uncertain
-    cut: float = 0.05
-    at_limit: float = 0.98  # of an actuator's limit, from which on it is at it
     still_weight: float = 0.03  # weight (1) of a window in which a joint does not move
     # of a window: share of rows in which forces are uncertain, from which on it does not count
     pushed: float = 0.01
@@ -190,8 +183,6 @@ class TextCriteria:
     # share of recordings like this one, in which the size that is reported would be found
     power: float = 0.8
     trials: int = 8  # trials that are named one by one
-    # standard errors, from which on the step is reported by which damping acts late
-    damping_step_errors: float = 3.0
     # times the noise floor, that the Coulomb friction of a simulator that lets a stuck joint
     # creep may leave
     soft_friction: float = 5.0

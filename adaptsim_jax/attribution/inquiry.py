@@ -47,13 +47,13 @@ class Inquiry:
     @property
     def follows(self) -> bool:
         """Whether an actuator follows commands."""
-        return bool(np.any(held(self.machine.actuator)))
+        commands = self.machine.log.input_kind == "command"
+        return commands and bool(np.any(held(self.machine.actuator)))
 
     @property
     def many(self) -> bool:
         """Whether there are too many joints for stretches to be searched."""
-        torque = self.criteria.torque
-        return self.problem.joints > (torque.whole if self.follows else torque.simulated)
+        return self.problem.joints > self.criteria.torque.simulated
 
     def simulated(self, model: FittedTree) -> dict[str, Any]:
         """What a model leaves of simulated stretches, by objective."""
@@ -72,7 +72,6 @@ class Examined:
         before, after: Measures by objective of the declared model, fitted, and of the final one,
             None where one tells nothing.
         judge, why: The objective, and why.
-        simulated: Whether errors are reported of simulated stretches, whoever judged.
     """
 
     inquiry: Inquiry
@@ -82,7 +81,6 @@ class Examined:
     after: dict[str, Any]
     judge: str
     why: str
-    simulated: bool = False
 
     @property
     def problem(self) -> TreeProblem:

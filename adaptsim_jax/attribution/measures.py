@@ -139,14 +139,10 @@ def needed(problem: TreeProblem, balance: Balance) -> np.ndarray:
     return np.where(np.any(averaged != 0.0, 0), averaged, takes)
 
 
-def headline(
-    measures: Mapping[str, Measure | None], follows: bool, asked: str | None = None
-) -> tuple[str, str]:
+def headline(measures: Mapping[str, Measure | None], asked: str | None = None) -> tuple[str, str]:
     """(The yardstick by which effects are judged, why), of those of the declared model, fitted.
-    follows: the machine is told where to be.
 
-    Chosen before anything is named, but for command errors (`examine`). asked: the one that a
-    person wants.
+    Chosen before anything is named. asked: the one that a person wants.
     """
     if asked is not None:
         return asked, "asked for"
@@ -157,12 +153,6 @@ def headline(
             return f"{100 * skill[k]:.0f} % better than a straight line"
         return "no better than a straight line"
 
-    if follows and min(skill.get(TORQUE, -1.0), skill.get(STRETCHES, -1.0)) >= REPORT.useful_skill:
-        return (
-            TORQUE,
-            "it follows commands, and of the torque that its command errors come to the model "
-            f"tells {100 * skill[TORQUE]:.0f} %",
-        )
     if skill.get(STRETCHES, -1.0) >= REPORT.useful_skill:
         return STRETCHES, f"over stretches the declared model, fitted, is {words(STRETCHES)}"
     if skill.get(TORQUE, -1.0) > max(skill.get(STRETCHES, -1.0), 0.0):

@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate, 
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.fitted import FittedTree, held_error
 from adaptsim_jax.attribution.held_out import modelled, paired, refit
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, Entry, Vector
+from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import table
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -258,11 +258,10 @@ def between_rows(
 ) -> bool:
     """Whether it is how commands are read: at all driven joints they act early, by no more than
     those of a controller that is faster than its log (half of the difference of both intervals), or
-    late by less than the log resolves; or, where no `damping_step` is fitted, rotors differ by what
-    damps a joint in a small part of a row.
+    late by less than the log resolves; or rotors differ by what damps a joint in a small part of a
+    row.
     """
-    stepped = any(e.owner == DAMPING_STEP for e in model.fit.vector.entries)
-    if c.effect == ARMATURE.name and not stepped:
+    if c.effect == ARMATURE.name:
         return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
     times = [

@@ -18,10 +18,10 @@ import numpy as np
 
 from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.diagnosis.steps import bounded_step
-from adaptsim_jax.effects.joints import catalogue, forces
+from adaptsim_jax.effects.joints import catalogue
 from adaptsim_jax.effects.joints.catalogue import BODY, WIDEST
 
-INERTIA, TILT, DAMPING_STEP = BODY.name, catalogue.TILT.name, forces.DAMPING_STEP.name
+INERTIA, TILT = BODY.name, catalogue.TILT.name
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from adaptsim_jax.attribution.equation.commands import drive_gains
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import NAMES
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, nuisances, own_inertia
+from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
+from adaptsim_jax.attribution.problem import TreeProblem, nuisances
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
@@ -60,19 +60,21 @@ def catalogue_of(
     known = MACHINE
     if setting.effects is not None:
         known = (*(e for e in MACHINE if e.name in fitted), *setting.effects)
-    everywhere, at_joints = excluded_of(setting.exclude, known, machine.tree.joint_names)
+    names = {e.name for e in known}
+    everywhere, at_joints = excluded_of(setting.exclude, names, machine.tree.joint_names)
     chosen = tuple(e for e in known if e.name not in everywhere or e.name in fitted)
     return chosen, at_joints
 
 
 def excluded_of(
-    exclude: Sequence[str], known: Sequence[Effect], joints: Sequence[str]
+    exclude: Sequence[str], names: set[str], joints: Sequence[str]
 ) -> tuple[set[str], frozenset[tuple[str, int]]]:
     """What `--exclude` names: effects (`coulomb`), and effects at a joint (`coulomb at elbow`).
+    names: of the effects that there are.
 
     Raises BadInput where there is no such effect, or no such joint.
     """
-    names, everywhere, at_joints = {e.name for e in known}, set(), set()
+    everywhere, at_joints = set(), set()
     for text in exclude:
         name, _, joint = text.partition(" at ")
         if name not in names:
@@ -172,18 +174,6 @@ def declared_vector(machine: Machine, problem: TreeProblem) -> Vector:
                     if e.owner == owner and of[e.joints[0]] not in wanted
                 ]
             )
-    if problem.offers(DAMPING_STEP) and np.any(held(machine.actuator)):
-        widest = Criteria.min_shift * problem.reach.dt
-        # s, in which damping stops each joint
-        stops = own_inertia(problem, vector)[0] / np.maximum(
-            problem.declared[DAMPING_STEP, "damping"], 1e-12
-        )
-        for g in problem.groups:
-            early = min(
-                widest, PRIOR_WIDTH.min_inertia * np.min(stops[list(g.joints)])
-            )  # by more, and a joint would weigh less than nothing
-            step = Entry(DAMPING_STEP, "step", g.joints, 0.0, 0.0, -early, widest, "s", widest)
-            vector = vector.with_entries([step])
     if machine.gain_unknown:
         # free, gain and inertias shrink together
         if machine.gain_estimated:

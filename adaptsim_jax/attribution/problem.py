@@ -11,7 +11,6 @@ import numpy as np
 from adaptsim_jax.attribution.acting import ActingModel, Values
 from adaptsim_jax.attribution.criteria import CHOICE, RANGE, STRETCH
 from adaptsim_jax.attribution.parameters import (
-    DAMPING_STEP,
     INERTIA,
     TILT,
     Entry,
@@ -141,7 +140,6 @@ def prepare(
             )
         )
     as_declared = numbers_of(tree)
-    as_declared[DAMPING_STEP, "damping"] = np.asarray(tree.damping) - actuator[3] * gear**2
     as_declared |= dict(declared or {})
     return TreeProblem(
         tuple(groups),

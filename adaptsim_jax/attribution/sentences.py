@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.criteria import SERVO, TEXT
 from adaptsim_jax.attribution.fitted import Selection
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, TILT
+from adaptsim_jax.attribution.parameters import INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Named
@@ -195,25 +195,7 @@ def read_so(problem: TreeProblem, found: Selection) -> list[str]:
         "All rotors differ from the file's by what damps them in a small part of a row: as a "
         "simulator's or a controller's steps make it. Read so; no effect is named for it."
     )
-    return [*_early_commands(problem, found), *_implicit(found), *([rotors] if read else [])]
-
-
-def _implicit(found: Selection) -> list[str]:
-    """That damping acts by the speed at another time in a step."""
-    model = found.final
-    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.spread, strict=True)
-    steps = [
-        1e3 * z
-        for e, z, spread in rows
-        if e.owner == DAMPING_STEP and abs(z) > TEXT.damping_step_errors * spread > 0.0
-    ]
-    steps = sorted(steps, key=abs)[-1:]  # groups of joints that share no body have one each
-    return [
-        f"What damps the joints, controllers' kv too, acts by the speed {abs(z):.2g} ms "
-        f"{'later' if z > 0 else 'earlier'}: as the steps of a simulator or of a controller make "
-        f"it. {READ}"
-        for z in steps
-    ]
+    return [*_early_commands(problem, found), *([rotors] if read else [])]
 
 
 def _early_commands(problem: TreeProblem, found: Selection) -> list[str]:

@@ -37,17 +37,18 @@ def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]
 
 
 def _loaded(d: ServoDiagnosis) -> np.ndarray | None:
-    """Inertial parameters [n, 10] with the payload at the last body's centre of mass."""
-    payload, recording = d.found.laws[0].payload, d.recording
+    """Inertial parameters [n, 10] with the payload where the last body carries it."""
+    (payload, reach), recording = (d.found.laws[0].payload, d.found.laws[0].reach), d.recording
     if recording.hand < 0 or not payload:
         return None
     model, tree = recording.model, d.machine.tree
     body = model.body(recording.hand).name
     frames = d.machine.mechanism.frames
-    centre = frames.place[body] + frames.rotation[body] @ model.body_ipos[recording.hand]
+    at = model.body_ipos[recording.hand] + reach * recording.outward
+    centre = frames.place[body] + frames.rotation[body] @ at
     inertial = np.array(tree.inertial, float)
-    at = tree.body_names.index(body) if body in tree.body_names else frames.carrier[body]
-    inertial[at] += _point_mass(payload, centre)
+    carrier = tree.body_names.index(body) if body in tree.body_names else frames.carrier[body]
+    inertial[carrier] += _point_mass(payload, centre)
     return inertial
 
 

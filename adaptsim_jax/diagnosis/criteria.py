@@ -17,23 +17,12 @@ class TorqueCriteria:
     slowest: of a joint's usual speed: what sets in below is not told from what holds a joint still.
     worth: of a joint's torque, root mean square: an effect of less is not worth a name, and as much
         may be left of what is explained.
-    follower_worth: the same of bodies and encoders of a machine that follows commands: a payload is
-        little of what a shoulder carries, shows at all joints that carry it, and simulation has
-        the last word.
-    share: of a controller's gain: what its damping takes is many times what the joint needs (a
-        Panda's wrist: 400 N m of 0.8), and the speeds that this follows from are true to 0.1 or 0.2
-        %.
     discovery: share of false ones among what like drives have (Benjamini and Hochberg, 1995).
     paired: of the log's sampling interval. Measured torques of all joints that are late or early by
         less are how a logger pairs them with angles (of the cycle before, filtered), not an effect.
     simulated: joints up to which the search goes on by simulation where what the torque shows
         simulates to more than the noise (of more it takes minutes); of both results the one with
         more skill by both yardsticks together is taken.
-    whole: joints up to which a machine that follows commands has its bodies fitted, and is searched
-        by simulation where what its command errors show leaves more than noise; of more either
-        takes a quarter of an hour, and what is left is told.
-    file_names: names that a search with the file's bodies may have where one with fitted ones has
-        none, and be taken for it.
     """
 
     tried: int = 6
@@ -42,13 +31,9 @@ class TorqueCriteria:
     steady: float = 1.0
     slowest: float = 0.15
     worth: float = 0.03
-    follower_worth: float = 0.003
-    share: float = 0.01
     discovery: float = 0.05
     paired: float = 1.5
     simulated: int = 2
-    whole: int = 16
-    file_names: int = 2
 
 
 @dataclass(frozen=True)
@@ -97,8 +82,7 @@ class Criteria:
     beyond: where a fit of short trials leaves more than `lacks_nothing`, the share that an effect
         must take off of the squared error beyond the noise (0.9: it is three times what is left).
         What is smaller may name a part of that. 0: no such rule.
-    near: the same of a machine that follows commands, up to which what its command errors show is
-        enough, and stretches are not searched.
+    near: the same, up to which simulated stretches tell all that there is.
     outlying: as `explained`, of one joint in one trial: beyond it something is left, whatever the
         others say.
     beginning: share of the stretches over which is fitted, and searched again where nothing

@@ -91,11 +91,6 @@ class Evidence:
         return None
 
     @property
-    def gain_error(self) -> float | None:
-        """Of a controller's gain, by what share it is off."""
-        return None
-
-    @property
     def declared_change(self) -> float | None:
         """By what share, at most, it changes what the file declares."""
         return None
@@ -232,18 +227,6 @@ def at_bound(e: Evidence) -> float | None:
 def within_row(e: Evidence) -> float | None:
     """It is a shift in time shorter than the log resolves."""
     return e.unresolved_shift
-
-
-@rule(
-    NAME,
-    "a gain that is off by less than {e.criteria.torque.share:.0%} is how exactly speeds are read",
-)
-def gain_within_speed_error(e: Evidence) -> float | None:
-    """It is a controller's gain that is off by no more than speeds are."""
-    off = e.gain_error
-    if off is not None and off < e.criteria.torque.share:
-        return off
-    return None
 
 
 @rule(NAME, "changes what the model file declares by less than {e.criteria.min_change:.0%}")

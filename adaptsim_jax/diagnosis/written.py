@@ -145,6 +145,46 @@ def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
 
 
 @dataclass(frozen=True)
+class Asked:
+    """What a diagnosis was asked of.
+
+    Args:
+        data, model: The recording and its model file, None: as its meta.toml says.
+        folder: None: nothing is written.
+        without: Trials that are left out.
+        run: How it was called, and when.
+    """
+
+    data: str | Path
+    model: str | Path | None
+    folder: Path | None
+    without: tuple[str, ...]
+    run: Run
+
+    @property
+    def made(self) -> dict[str, Any]:
+        """How a file was made, as it says."""
+        return {"data": str(self.data), **self.run.as_dict()}
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a search says, and the files that hold it.
+
+    Args:
+        report: By `diagnosis.schema`.
+        evidence: The arrays behind its page.
+        files: What makes the text of each file, by name.
+        verify: Runs the files that were written (`write_all`).
+    """
+
+    report: dict[str, Any]
+    evidence: dict[str, Any]
+    files: Mapping[str, Callable[[], str]]
+    verify: Callable[[Path], dict[str, Any]] | None
+
+
+@dataclass(frozen=True)
 class Output:
     """Where a diagnosis is written, and with what.
 

@@ -233,7 +233,6 @@ class Traits:
     - at_parents: It shows at all joints that carry its own.
     - resists: It opposes the motion, whatever the time and the torque's direction.
     - fitted: Its parameters are fitted whatever is named.
-    - offered: Whether a search may add it.
     """
 
     on_actuator: bool = False
@@ -247,7 +246,6 @@ class Traits:
     at_parents: bool = False
     resists: bool = False
     fitted: bool = False
-    offered: bool = True
 
 
 def of_the_engine(*_):

@@ -37,16 +37,21 @@ def difference_noise(
     return out
 
 
+ALIKE = 0.5  # of an encoder's step: with more noise than that few rows would read alike
+
+
 def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """The same by medians, or by the mean square where most rows are rounded to one value: the
-    noise of an encoder that mostly rests is that of its steps. Never less than rounding to those
+    """The same by medians, or by the mean square where most rows are rounded to one value: there at
+    most `ALIKE` of the encoder's step, since all else is motion. Never less than rounding to those
     steps makes.
     """
     size, rows = difference_noise(parts), np.concatenate(parts)
     shows = size > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)
-    floor = [encoder_step(z) / np.sqrt(12.0) for z in rows.reshape(len(rows), -1).T]
-    floor = np.reshape(floor, rows.shape[1:])
-    return np.maximum(np.where(shows, size, difference_noise(parts, robust=False)), floor)
+    steps = [encoder_step(z) for z in rows.reshape(len(rows), -1).T]
+    step = np.reshape(steps, rows.shape[1:])
+    most = np.where(step > 0.0, ALIKE * step, np.inf)
+    rounded = np.minimum(difference_noise(parts, robust=False), most)
+    return np.maximum(np.where(shows, size, rounded), step / np.sqrt(12.0))
 
 
 def encoder_step(z: np.ndarray) -> float:

@@ -27,7 +27,7 @@ def balance_that(monkeypatch):
         monkeypatch.setattr(examine, "balances", lambda *_: (object(),))
         monkeypatch.setattr(examine, "_with_friction_law", search)
         monkeypatch.setattr(examine, "_by_stretches", lambda q, why: why)
-        machine: Any = SimpleNamespace(servo_times=0, tracks=())
+        machine: Any = SimpleNamespace(log=SimpleNamespace(input_kind="torque"), tracks=())
         nothing: Any = SimpleNamespace()
         return examine.examine(Inquiry(machine, nothing, nothing, Criteria(), 0.5))
 

@@ -115,7 +115,7 @@ print(json.dumps({
     "left": left,
     "simulated": [[*k, v] for k, v in scores.items()],
     "balance": [[*k, v] for k, v in by_torque.items()],
-    "excluded": [sorted(z) for z in excluded_of(["brush", "magnet at elbow"], MACHINE, machine.tree.joint_names)],
+    "excluded": [sorted(z) for z in excluded_of(["brush", "magnet at elbow"], {e.name for e in MACHINE}, machine.tree.joint_names)],
     "words": effect_name({"name": "brush", "where": "joint1"}),
     "held": mend.changes(machine, problem, final, final).joints["frictionloss"],
     "lost": [mend.lost(machine, problem, finding(c)) for c in (brush, magnet)],

@@ -10,12 +10,12 @@ import numpy as np
 from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.criteria import BALANCE
 from adaptsim_jax.attribution.equation.balance import balances
-from adaptsim_jax.attribution.equation.confirmed import without_bodies
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.posed import declared_vector
 from adaptsim_jax.attribution.problem import held, own_inertia, scaled_reach
 from adaptsim_jax.attribution.sentences import standing
-from tests.attribution.test_rubbing import finger_log, prepared
+from tests.attribution.servo_logs import servo_log
+from tests.attribution.test_rubbing import FINGER, finger_log, prepared
 
 GRIPPER = """<mujoco><option timestep="1e-3"/><worldbody><body>
 <joint name="turn" axis="0 1 0" armature="0.05"/><inertial pos="0 0 -0.1" mass="0.5" diaginertia="1e-3 1e-3 1e-3"/>
@@ -26,6 +26,8 @@ GRIPPER = """<mujoco><option timestep="1e-3"/><worldbody><body>
 <equality><joint joint1="right" joint2="left" polycoef="0 1 0 0 0"/></equality>
 <actuator><position name="turn" joint="turn" kp="100" kv="5"/><position name="grip" joint="left" kp="200" kv="8"/></actuator>
 </mujoco>"""  # noqa: E501
+
+HELD = FINGER.replace("<motor", '<position kp="60" kv="2"')
 
 
 def test_followers_that_do_not_follow_are_known_by_their_leader(tmp_path):
@@ -47,7 +49,7 @@ def test_followers_that_do_not_follow_are_known_by_their_leader(tmp_path):
 def test_nothing_is_sought_at_a_joint_that_is_unlike_the_model_but_what_all_share(tmp_path):
     machine, problem = prepared(finger_log(tmp_path / "log"))
     problem = replace(problem, unlike=(1,))
-    null = without_bodies(declared_vector(machine, problem))
+    null = declared_vector(machine, problem)
     reach = scaled_reach(problem, *own_inertia(problem, null))
     here = {
         c.effect for c in candidates(problem, null, reach) if 1 in c.joints and c.effect != "tilt"
@@ -71,7 +73,8 @@ def test_servos_that_do_not_follow_are_known(tmp_path):
         ('stiffness="1e4"', []),
         ("", [0, 1]),
     ):  # held by a brake, which the file has not
-        machine, _ = prepared(finger_log(tmp_path / f"log{len(law)}", law))
+        file, own = (HELD.format(law=z, near=0.1, far=0.08) for z in ("", law))
+        machine, _ = prepared(servo_log(tmp_path / f"log{len(law)}", file, own, 8))
         gaps = [
             replace(t, q=np.where(np.arange(len(t.q))[:, None] % 7 == 0, np.nan, t.q))
             for t in machine.tracks

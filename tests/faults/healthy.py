@@ -108,7 +108,8 @@ def of_pendulum(source: Path) -> list[str]:
 
 def of_mechanism(source: Path) -> list[str]:
     from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
-    from adaptsim_jax.attribution.diagnose import HORIZON, load
+    from adaptsim_jax.attribution.diagnose import HORIZON
+    from adaptsim_jax.attribution.load import load
     from adaptsim_jax.attribution.posed import scaled
     from adaptsim_jax.logs.quality.trial_words import sentences
 

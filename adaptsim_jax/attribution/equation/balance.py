@@ -14,9 +14,9 @@ import scipy.sparse
 
 from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
 from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
-from adaptsim_jax.attribution.equation.windows import EvenTrial, limited, runs_of
+from adaptsim_jax.attribution.equation.windows import EvenTrial, runs_of
 from adaptsim_jax.attribution.parameters import Vector
-from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, held, values_of
+from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.base import Dry, Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
@@ -33,15 +33,14 @@ PROGRAM_ROWS = 2048  # rows that one compiled program takes
 @dataclass(frozen=True)
 class Balance:
     """Of a group of n joints in K windows: regressor [K, n, 10 n] (N m by inertial parameter),
-    acceleration [K, n], trial [K], time [K], clear [K, n]: whether a joint moved, was not at the
-    end of its range, and the rows show its force (`_reported`); known [K, n]: what acts whatever
+    acceleration [K, n], trial [K], time [K], clear [K, n]: whether a joint moved and was not at the
+    end of its range; known [K, n]: what acts whatever
     is fitted, which is what holds bodies up against gravity, less what bodies of joints that follow
     others take.
 
-    q, v, a, u, jump [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the
-    speed that dry friction goes by, and below which it is not told from zero; row [T] s
-    (`windows.EvenTrial`); clock [T] s; mean [K, T]
-    averages over windows; runs: the rows of each.
+    q, v, a, u [n, T]: the motion of all runs one after the other; ahead, width [n, T]: the
+    speed that dry friction goes by, and below which it is not told from zero; clock [T] s; mean
+    [K, T] averages over windows; runs: the rows of each.
     """
 
     group: Group
@@ -49,8 +48,6 @@ class Balance:
     v: np.ndarray
     a: np.ndarray
     u: np.ndarray
-    jump: np.ndarray
-    row: np.ndarray
     ahead: np.ndarray
     width: np.ndarray
     clock: np.ndarray
@@ -84,8 +81,8 @@ def balances(
     tracks: tuple[JointTrack, ...],
     span: float = WINDOW.span,
 ) -> tuple[Balance, ...]:
-    """By group of joints; none of a group whose trials hold no window. Windows in which an actuator
-    is at its limit do not count, nor those at stops.
+    """By group of joints; none of a group whose trials hold no window. Windows at stops do not
+    count.
     """
     out = []
     for group in problem.groups:
@@ -96,11 +93,7 @@ def balances(
             continue
         values = values_of(problem, group, Vector((), np.zeros(0)))
         made = _of_runs(group, runs, tuple(t.name for t in tracks), group_inertia(values, group)[0])
-        sure = (
-            inside(group.model.tree, made.q)
-            & _reported(made, values)
-            & ~np.isin(own, problem.unlike)[:, None]
-        )
+        sure = inside(group.model.tree, made.q) & ~np.isin(own, problem.unlike)[:, None]
         clear = np.concatenate([r.clear for r in runs], 1)
         moves = np.maximum(made.mean @ clear.T, BALANCE.still_weight)
         certain = made.mean @ (~sure).T < BALANCE.pushed
@@ -113,12 +106,10 @@ def _of_runs(
 ) -> Balance:
     """Without `clear`. names: of all trials."""
     tree = group.model.tree
-    q, v, a, u, jump, smooth = (
-        np.concatenate([getattr(r, k) for r in runs], 1)
-        for k in ("q", "v", "a", "u", "jump", "smooth")
+    q, v, a, u, smooth = (
+        np.concatenate([getattr(r, k) for r in runs], 1) for k in ("q", "v", "a", "u", "smooth")
     )
     width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
-    row = np.concatenate([np.full(len(r.time), r.row) for r in runs])
     ends = np.cumsum([0, *(len(r.time) for r in runs)])
     mean = scipy.sparse.csr_matrix(scipy.sparse.block_diag([r.mean for r in runs], "csr"))
     table = _by_pieces(partial(_regressed, tree), q, v, a)
@@ -129,8 +120,6 @@ def _of_runs(
         v,
         a,
         u,
-        jump,
-        row,
         ahead=ahead_of(tree, smooth, a),
         width=width,
         clock=np.concatenate([r.time for r in runs]),
@@ -152,23 +141,6 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
     low, high = np.asarray(tree.range, float).T[:, :, None]
     near = np.minimum(BALANCE.at_end, BALANCE.at_end_share * (high - low))
     return ~np.asarray(tree.limited)[:, None] | ((q > low + near) & (q < high - near))
-
-
-def _reported(balance: Balance, values: Values) -> np.ndarray:
-    """Where [n, T] limits cut little of the spikes of a force after each command (how much they cut
-    hangs on what is between rows), and no controller's force is at them: it is the difference of
-    two much larger ones there, and none where a joint chatters.
-    """
-    none = np.zeros_like(balance.jump)
-    law = np.asarray(values.actuator)[..., 0]
-    limit = np.abs(law[4:6]).min(0)[:, None] * np.abs(values.gear)
-    force, smooth = (
-        actuator_force(balance, values)[0],
-        actuator_force(balance, values, (balance.u, none))[0],
-    )
-    at_limit = held(law)[:, None] & (np.abs(smooth) >= BALANCE.at_limit * limit)
-    usual = np.sqrt(np.mean(np.square(np.where(at_limit, 0.0, smooth)), 1, keepdims=True))
-    return (np.abs(force - smooth) <= BALANCE.cut * usual) & ~at_limit
 
 
 def _known(
@@ -280,30 +252,14 @@ def tilting(balance: Balance, inertial: np.ndarray, way: np.ndarray) -> np.ndarr
     )
 
 
-def actuator_force(
-    balance: Balance, values: Values, reported: tuple[np.ndarray, np.ndarray] | None = None
-) -> Driven:
+def actuator_force(balance: Balance, values: Values, u: np.ndarray | None = None) -> Driven:
     """Force of the actuators and the part of it that follows command and angle, [n, T], by the law
-    of `values`. Controllers see what is logged, an encoder's offset included. told: u and jump,
-    where not those that were logged.
+    of `values`. Controllers see what is logged, an encoder's offset included. u: what was
+    commanded, where not what was logged.
     """
-    b, values = balance, values._replace(effects={})
-    u, jump = (b.u, b.jump) if reported is None else reported
-    law = np.asarray(values.actuator)
+    given = balance.u if u is None else u
     with jax.enable_x64(True):
-        if values.ties is None and np.any(np.isfinite(law[4:6])):
-            free = np.concatenate(
-                [law[:4], np.full_like(law[4:5], -np.inf), np.full_like(law[4:5], np.inf)]
-            )
-            tau, pull = (
-                np.asarray(z) + 0.0 * b.q
-                for z in _actuated(values._replace(actuator=free), b.q, b.v, u)
-            )
-            ends = np.sort(np.asarray(values.gear) * law[4:6], 0)
-            slow = b.inertia[:, None] / np.maximum(-law[3] * np.asarray(values.gear) ** 2, 1e-9)
-            tau = limited(tau, law[0] * values.gear * jump, ends, slow, b.row, b.clock, b.runs)
-        else:
-            tau, pull = _actuated(values, b.q, b.v, u)
+        tau, pull = _actuated(values._replace(effects={}), balance.q, balance.v, given)
     return np.asarray(tau) + 0.0 * balance.q, np.asarray(pull) + 0.0 * balance.q
 
 
@@ -378,17 +334,16 @@ def command_force(
 ) -> np.ndarray:
     """Change of the actuators' mean force [K, n] by an effect on their command (a delay, a lag)."""
     at = {k: np.asarray(z, float)[None, :, None] for k, z in p.items()}
-    late = np.stack([balance.u, balance.jump])
+    late = balance.u.copy()
     longest = max(run.stop - run.start for run in balance.runs)
     with jax.enable_x64(True):
         for run in balance.runs:
             short = longest - (run.stop - run.start)
             clock = balance.clock[run]
             time = clock[0] + (clock[1] - clock[0]) * np.arange(longest)
-            for k, z in enumerate((balance.u, balance.jump)):
-                u = np.pad(z[:, run], ((0, 0), (0, short)), mode="edge")
-                late[k][:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
-    return balance.averaged(actuator_force(balance, values, tuple(late))[0] - driven[0])
+            u = np.pad(balance.u[:, run], ((0, 0), (0, short)), mode="edge")
+            late[:, run] = np.asarray(_commanded(effect, at, time, u))[:, : longest - short]
+    return balance.averaged(actuator_force(balance, values, late)[0] - driven[0])
 
 
 def force_of(balance: Balance, values: Values, effect: Effect, p: At, driven: Driven) -> np.ndarray:

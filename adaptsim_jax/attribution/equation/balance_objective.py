@@ -15,7 +15,7 @@ import numpy as np
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked
 from adaptsim_jax.attribution.equation.solve import Solved, compared
-from adaptsim_jax.attribution.parameters import DAMPING_STEP, INERTIA, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
@@ -94,18 +94,9 @@ class BalanceEvidence(Evidence):
         return float(self.values[0]) / self.state.reach.dt
 
     @property
-    def gain_error(self) -> float | None:
-        if not self.state.follows or not self.traits.scales_drive:
-            return None
-        return float(np.max(np.abs(self.values)))
-
-    @property
     def torque_share(self) -> tuple[float, float] | None:
-        """Root mean squares. What predicts stays in the model of a machine driven by torque,
-        and has no name; of one that follows commands, whose command errors show
-        trifles that no motion does, it goes.
-        """
-        if self.read_so or not (self.naming or self.state.follows):
+        """Root mean squares. What predicts stays in the model, and has no name."""
+        if self.read_so or not self.naming:
             return None
         return share_of_torque(self.state, self.whole, self.candidate)
 
@@ -117,9 +108,7 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
     at = _numbers(whole, c)
     force = whole.columns[..., at] @ whole.step[at]
     size = np.sqrt(np.mean(np.square(force), 0))
-    share = float(np.max(size / np.maximum(state.torque, 1e-300)))
-    carried = state.follows and state.problem.effect(c.effect).traits.at_parents
-    return share, state.limits.follower_worth if carried else state.limits.worth
+    return float(np.max(size / np.maximum(state.torque, 1e-300))), state.limits.worth
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
@@ -389,12 +378,8 @@ def likely_first(
     """
     added: list[JointCandidate] = []
     steps: list[Step] = []
-    # which is nearly rotors at all of them already
-    stepped = any(e.owner == DAMPING_STEP for e in state.null.entries)
     first = [e for e in state.problem.effects if e.traits.tried_first]
     for effect in sorted(first, key=lambda e: e.traits.tried_first):
-        if stepped and effect.inertia:
-            continue
         sharing = "common" if effect.traits.shared else "joint"
         some = [c for c in every if c.effect == effect.name and c.sharing == sharing]
         if (

@@ -1,14 +1,13 @@
 """What the balance of torques named, held against simulation, without a fit by it.
 
-A command error is small beside what drives it, so that trifles of a servo's law show in it which no
-motion shows. Where the declared model simulates to within a few times its noise, stretches tell all
-that there is. In both cases each effect must also simulate left-out stretches better than the
-balance refitted without it. Elsewhere simulation has a veto: no joint at which it tells anything
+Where the declared model simulates to within a few times its noise, stretches tell all that there
+is: each effect must also simulate left-out stretches better than the balance refitted without it.
+Elsewhere simulation has a veto: no joint at which it tells anything
 may be simulated worse with a name than without. Where it tells nothing it has no say: stiff arms
 simulate worse with right frictions.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
@@ -16,12 +15,11 @@ import numpy as np
 
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.criteria import CONFIRMATION
-from adaptsim_jax.attribution.equation.models import GroupSearch, TorqueSearch, model_of, without
+from adaptsim_jax.attribution.equation.models import TorqueSearch, model_of, without
 from adaptsim_jax.attribution.fitted import FittedTree, held_error, over_floor
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.held_out import paired
 from adaptsim_jax.attribution.nested_models import eased, least_worth, worth
-from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.paths import losses
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.parallel import parallel_map
@@ -31,8 +29,7 @@ from adaptsim_jax.diagnosis.folds import pieces
 from adaptsim_jax.diagnosis.objective import Objective
 from adaptsim_jax.diagnosis.rules import Evidence, refusal, step_reason
 from adaptsim_jax.diagnosis.search import backward_elimination
-from adaptsim_jax.diagnosis.testing import Test, log_ratio, paired_test, preferred, share
-from adaptsim_jax.effects.joints.catalogue import OWN
+from adaptsim_jax.diagnosis.testing import Test, paired_test
 
 
 def confirmed(
@@ -40,7 +37,7 @@ def confirmed(
     found: TorqueSearch,
     whole: FittedTree,
     criteria: Criteria,
-    null: FittedTree | None = None,
+    null: FittedTree,
 ) -> TorqueSearch:
     """Without the names that simulation does not bear out, refitted by the balance.
 
@@ -49,10 +46,9 @@ def confirmed(
         found: by the balance.
         whole: the model of all that is found.
         criteria: what counts as an effect.
-        null: the declared model of a machine that is driven by torque, whose stretches may tell
-            nothing.
+        null: the declared model, whose stretches may tell nothing.
     """
-    near = null is None or over_floor(problem, null) <= criteria.near
+    near = over_floor(problem, null) <= criteria.near
     if not near and not any(informative_joints(problem, null, criteria)):
         return found
     objective = SimulatedNames(problem, criteria, null, near)
@@ -131,7 +127,7 @@ class SimulatedNames(Objective):
 
     problem: TreeProblem
     criteria: Criteria
-    null: FittedTree | None
+    null: FittedTree
     near: bool
     _certain: set = field(default_factory=set)
 
@@ -187,7 +183,7 @@ class SimulatedNames(Objective):
         """Where no name harms a joint by itself and all of them together do: of those at such
         joints the one that the balance gains least by is taken to.
         """
-        null, whole, joints = self.null or model.whole, model.whole, range(self.problem.joints)
+        null, whole, joints = self.null, model.whole, range(self.problem.joints)
         worse = set(harmed(self.problem, self.null, null, whole, joints, self.criteria))
         some = [n for n in model.found.named if worse & set(_shown(model.found, n.candidate))]
         if not some:
@@ -226,14 +222,10 @@ class SimulatedNames(Objective):
         return replace(found, searches=tuple(searches))
 
 
-def informative_joints(
-    problem: TreeProblem, null: FittedTree | None, criteria: Criteria
-) -> list[bool]:
+def informative_joints(problem: TreeProblem, null: FittedTree, criteria: Criteria) -> list[bool]:
     """At which joints simulated stretches of the declared model `null` tell anything: they come
     within a few times the noise, or beat what needs no model.
     """
-    if null is None:
-        return [True] * problem.joints
     error = np.median(held_error(problem, null), 0)
     nothing = np.min([np.median(z, 0) for z in without_a_model(problem)], 0)
     near = error <= criteria.near * problem.floor[: problem.joints]
@@ -242,7 +234,7 @@ def informative_joints(
 
 def harmed(
     problem: TreeProblem,
-    null: FittedTree | None,
+    null: FittedTree,
     less: FittedTree,
     more: FittedTree,
     joints: Iterable[int],
@@ -278,71 +270,3 @@ def _gone(less: TorqueSearch) -> TorqueSearch:
         return tuple(k for k in w.named if any(k.candidate is c for c in w.added))
 
     return replace(less, searches=tuple(replace(w, named=names(w)) for w in less.searches))
-
-
-FITTED = tuple(e.name for e in OWN if e.traits.fitted)
-
-
-def without_bodies(null: Vector) -> Vector:
-    """The entries without bodies and damping, which stay as the file has them."""
-    return null.without([e.key for e in null.entries if e.owner in FITTED])
-
-
-def searched(
-    problem: TreeProblem, search: Callable[[Vector], TorqueSearch], null: Vector, criteria: Criteria
-) -> tuple[TorqueSearch, TorqueSearch, bool]:
-    """`(found, usual, asked)`: what is found with the file's bodies or with fitted ones. What is
-    found with fitted ones, where these were sought. Whether simulation was asked of each name.
-    search: along the motion, with the entries of a vector fitted.
-
-    Fitted bodies (hundreds of numbers of a humanoid) are not sought where the file's simulate
-    left-out stretches to within the noise with one name at most, for they cannot do better, nor of
-    a machine of very many joints. Else the file's are taken where they tell left-out torques as
-    well, by no more names that simulation bears out (where fitted ones have taken all of it up, by
-    a few). A command error shows more than any motion does, and it is enough that left-out
-    stretches are simulated as well, or to within the noise.
-    """
-    held = search(without_bodies(null))
-    model, own = model_of(problem, held, held.final, held.added), None
-    if over_floor(problem, model) <= criteria.explained:
-        own = confirmed(problem, held, model, criteria)
-        if len(own.named) <= 1:
-            return own, held, True
-    if problem.joints > criteria.torque.whole:
-        return own or held, held, own is not None
-    free = search(null)
-    other = model_of(problem, free, free.final, free.added)
-    if not own and not enough(problem, (held, free), (model, other), criteria):
-        return free, free, False
-    own = own or confirmed(problem, held, model, criteria)
-    fitted = confirmed(problem, free, other, criteria)
-    return (
-        (own if len(own.named) <= (len(fitted.named) or criteria.torque.file_names) else fitted),
-        free,
-        True,
-    )
-
-
-def enough(
-    problem: TreeProblem,
-    found: tuple[TorqueSearch, TorqueSearch],
-    models: tuple[FittedTree, FittedTree],
-    criteria: Criteria,
-) -> bool:
-    """Whether the file's bodies predict as well as fitted ones: what was found with both, and the
-    models of it.
-    """
-    d = np.concatenate([_worse(*both) for both in zip(*(s.searches for s in found), strict=True)])
-    if share(d) < criteria.torque.gain:
-        return True
-    own, other = models
-    if over_floor(problem, own) <= criteria.explained:
-        return True
-    test = paired(problem, own.held.loss, losses(problem, other.held.paths, own.fit.weights))
-    return not preferred(test, criteria.size, criteria.confidence)
-
-
-def _worse(held: GroupSearch, free: GroupSearch) -> np.ndarray:
-    """Logarithms [B] of what the first leaves of left-out blocks over what the second does."""
-    loss = [free.rows.loss(w.whole.left_out(w.rows)).mean(1) for w in (held, free)]
-    return log_ratio(*loss)

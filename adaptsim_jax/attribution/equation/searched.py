@@ -25,7 +25,7 @@ from adaptsim_jax.attribution.equation.balance import (
 )
 from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, Sums, rows_of, solved
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
-from adaptsim_jax.attribution.problem import TreeProblem, held, values_of
+from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 from adaptsim_jax.diagnosis.testing import deviates
@@ -244,7 +244,6 @@ class Searched:
         self.table = EffectTable(problem, balance, null)
         self.null = null
         self.bends = {e.name for e in problem.effects if e.scales_torque} - {GAIN}
-        self.follows = bool(np.any(held(self.table.values.actuator[..., 0])))
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
         self.averaged = balance.averaged(self.table.driven()[0])

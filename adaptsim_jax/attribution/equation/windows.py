@@ -12,7 +12,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.ndimage
 import scipy.sparse
 
 from adaptsim_jax.attribution.criteria import WINDOW
@@ -22,9 +21,8 @@ from adaptsim_jax.logs.stretch_rows import broken
 
 @dataclass(frozen=True)
 class EvenTrial:
-    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] what the actuators were told in
-    the mean over the `row` s about a row, jump [n, T] by which that changes at it, smooth [n, T] a
-    speed with less noise, width [n] below
+    """A trial on an even grid: time [T] s, q, v, a [n, T], u [n, T] the mean command over a row,
+    smooth [n, T] a speed with less noise, width [n] below
     which that is not told from zero, clear [n, T] 0 to 1:
     whether it moves; mean [K, T] averages over windows; at [K] s, their middles.
     """
@@ -35,8 +33,6 @@ class EvenTrial:
     v: np.ndarray
     a: np.ndarray
     u: np.ndarray
-    jump: np.ndarray
-    row: float
     smooth: np.ndarray
     width: np.ndarray
     clear: np.ndarray
@@ -64,8 +60,8 @@ def runs_of(
     out = []
     total = sum(time[-1] - time[0] for _, time, *_ in made)
     hop = max(WINDOW.hop * span, total / WINDOW.max_windows)
-    for k, time, q, v, speed, u, jump, mask in made:
-        dt, row = time[1] - time[0], float(np.median(np.diff(tracks[k].time)))
+    for k, time, q, v, speed, u, mask in made:
+        dt = time[1] - time[0]
         mean, at = _windows(time, mask, max(span, WINDOW.min_rows * dt), hop)
         if not len(at):
             continue
@@ -80,8 +76,6 @@ def runs_of(
                 speed,
                 np.gradient(v, dt, axis=1),
                 u,
-                jump,
-                row,
                 v,
                 width,
                 moves,
@@ -98,7 +92,7 @@ def _rows(dt: float) -> int:
 
 
 def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
-    """time, q, v, speed, u, jump on an even grid, and where rows were read (1) or not (0); v is
+    """time, q, v, speed, u on an even grid, and where rows were read (1) or not (0); v is
     smooth, and speed is true.
     """
     dt = float(np.median(np.diff(track.time)))
@@ -117,8 +111,6 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
     q, v, speed = _local(np.stack(columns), dt, _rows(dt))
     u = np.where(np.isfinite(track.u), track.u, 0.0)
     middle = mean_command(track.time, u, np.append(time - 0.5 * dt, time[-1] + 0.5 * dt))
-    held = u[np.clip(np.searchsorted(track.time, time + 0.25 * dt) - 1, 0, len(u) - 1)]
-    jump = 2.0 * (held - middle)
     some = slice(None, None, max(1, round(WINDOW.grid / dt)))
     return (
         time[some],
@@ -126,7 +118,6 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
         v[:, some],
         speed[:, some],
         middle.T[:, some],
-        jump.T[:, some],
         mask[some],
     )
 
@@ -165,73 +156,3 @@ def _windows(
         (np.tile(shape, len(begins)), (rows, columns)), shape=(len(begins), len(time))
     )
     return table, time[begins] + 0.5 * wide * dt
-
-
-HALVINGS = 30  # times that an interval is halved, in which a mean force is sought: 1e-9 of it
-
-
-def limited(
-    force: np.ndarray,
-    spike: np.ndarray,
-    ends: np.ndarray,
-    slow: np.ndarray,
-    row: np.ndarray,
-    clock: np.ndarray,
-    runs: Sequence[slice],
-) -> np.ndarray:
-    """Mean force [n, T] of actuators with limits, where without them it is `force`. What is cut off
-    spikes is read off what is smooth, since it bends: the noise of a speed times a controller's
-    damping would be taken for force.
-
-    Args:
-        force, spike: [n, T] N m, N.
-        ends: lower and upper limit, [2, n, 1].
-        slow, row: as of `left_of`.
-        clock: [T] s.
-        runs: the rows of each trial.
-    """
-    wide = 2.0 * np.abs(spike)
-    part = np.clip(force, ends[0] - wide, ends[1] + wide)
-
-    def smoothed(run: slice) -> np.ndarray:
-        step = float(clock[run][1] - clock[run][0])
-        rows = max(1, round(WINDOW.smooth * WINDOW.span / step))
-        return scipy.ndimage.uniform_filter1d(part[:, run], rows, axis=1, mode="nearest")
-
-    smooth = np.concatenate([smoothed(run) for run in runs], 1)
-    way = np.where(spike < 0.0, -1.0, 1.0)
-    limit = np.where(way > 0.0, ends[1], -ends[0])
-    left = left_of(way * smooth, np.abs(spike), limit, slow, row)
-    cut = np.isfinite(limit) & (np.abs(force - smooth) < np.abs(spike))
-    return np.clip(force, *ends) + np.where(cut, way * left - np.clip(smooth, *ends), 0.0)
-
-
-def left_of(
-    asked: np.ndarray, spike: np.ndarray, limit: np.ndarray, slow: np.ndarray, row: np.ndarray
-) -> np.ndarray:
-    """Mean force that a limit leaves of one `asked` for, with spikes. A command that is held jumps
-    from row to row by so much as the joint moves, and the force with it (`spike`). Within about
-    `slow` s (inertia over damping) the joint has the speed that this asks for, and the force is
-    down again. Where limits cut a spike that takes longer: with m the mean, the force begins a = m
-    + peak - limit above the limit and falls by (limit - m) / slow + spike / row a second. m is
-    found by bisection.
-
-    Args:
-        asked, spike, limit: [n, T] N m, N; spike at least 0, `limit` the one on its side.
-        slow, row: s.
-
-    Returns:
-        [n, T].
-    """
-    rows = np.maximum(row / slow, 1e-3)
-    peak = spike * (1.0 / -np.expm1(-rows) - 1.0 / rows)
-    low, high = np.minimum(asked, -limit) - spike, np.minimum(asked, limit)
-    for _ in range(HALVINGS):
-        m = 0.5 * (low + high)
-        falls = (limit - m) / slow + spike / row
-        over = (
-            m + 0.5 * np.square(np.maximum(m + peak - limit, 0.0)) / np.maximum(falls * row, 1e-300)
-            > asked
-        )
-        low, high = np.where(over, low, m), np.where(over, m, high)
-    return 0.5 * (low + high)

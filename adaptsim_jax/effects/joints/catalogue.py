@@ -62,7 +62,6 @@ OWN: tuple[Effect, ...] = (
     friction.FRICTION_DRIFT,
     forces.HARD_STOP,
     forces.ARMATURE,
-    forces.DAMPING_STEP,
     actuator.TORQUE_GAIN,
     forces.TORQUE_COUPLING,
     forces.FRICTION_COUPLING,

@@ -26,10 +26,6 @@ def cogging(p, m):
     return sine + p["cosine"] * jnp.cos(p["order"] * m.q)
 
 
-def damping_step(p):
-    return p["step"] * p["damping"]
-
-
 def _before(z):
     """Of the joint before each, [n, ...]; zero at the first."""
     return jnp.concatenate([jnp.zeros_like(z[:1]), z[:-1]])
@@ -179,23 +175,6 @@ ARMATURE = Effect(
     inertia=True,
     formula="-inertia dv/dt",
     traits=Traits(family=True, tried_first=3),
-)
-
-DAMPING_STEP = Effect(
-    "damping_step",
-    "force",
-    (
-        Quantity("step", "s", -1.0, 1.0),
-        Quantity("damping", "N m s/rad", 0.0, 1e9, shape=True, held=True),
-    ),
-    damping_step,
-    "a simulator's step, or a controller's: the declared damping acts by the speed at another "
-    "time in it",
-    "fast changes of speed",
-    ("armature", "delay"),
-    inertia=True,
-    formula="-step damping dv/dt",
-    traits=Traits(offered=False),
 )
 
 TORQUE_COUPLING = Effect(

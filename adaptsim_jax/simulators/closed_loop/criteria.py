@@ -11,9 +11,6 @@ class ClosedLoopCriteria:
     # of a joint's inertia, that damping times a step may be before whole trials are stepped finer
     stiff: float = 0.5
     near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
-    # the same, beyond which a joint without a rotor stops within a step: its simulations differ by
-    # how they are stepped, and no real joint is like that
-    stiffest: float = 6.0
     longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
     start_pieces: int = 10  # the same where fits begin
@@ -24,6 +21,7 @@ class ClosedLoopCriteria:
     moving: float = 20.0  # times its noise, by which a joint moves that is fitted
     # rad (m): no encoder counts as better, since whole trials are simulated no nearer than this
     min_noise: float = 2e-4
+    rough: float = 2.0  # of the step, by which derivatives of whole trials are simulated
     batch: int = 16  # parameter sets of a call
     # rows' worth of a pull to the file's scale: only ratios show where damping is heavy
     pull: float = 30.0
@@ -33,7 +31,11 @@ class ClosedLoopCriteria:
     lacks_nothing: float = 1.5  # times the noise, that a joint which lacks nothing leaves at most
     shown: float = 1.15  # times the noise, that a model without a number must leave at its joints
     min_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
+    # by which the change of another number, in its usual size, counts: a hundredth is worth a name
+    units: float = 5.0
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
+    far: float = 4.0  # times the noise, beyond which a piece lacks something
+    helped: int = 2  # pieces that come from there to `enough`: they show a number by themselves
     harm: float = 0.1  # of a joint's squared error (log), by which a shared number may harm it
     # of a joint's error over whole trials by the file, that its own numbers must take off together
     better: float = 0.2
@@ -43,7 +45,11 @@ class ClosedLoopCriteria:
     own: int = 2  # numbers of one joint beside its law, at most
     # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
     scale_known: float = 0.05
+    near: float = 0.01  # m: a centre of mass that is nearer to its joint shows no way outward
+    tool: float = 0.1  # m, of the same, where fits begin: most tools are that long
+    reach: float = 0.5  # m, at most, from a body's centre of mass to that of what it carries
     late: float = 1e-3  # s: a delay below is none
+    damping_delay: float = 2e-3  # s, at most: a step of MuJoCo's, unless a file says another
 
 
 CLOSED_LOOP = ClosedLoopCriteria()

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
-from adaptsim_jax.core.parallel import parallel_map
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
 from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, ServoLaw, moved
@@ -294,7 +293,7 @@ def begun_at_limit(problem: JointProblem, fit: LawFit) -> LawFit:
     was where left-out pieces refute that.
     """
     servo, some = problem.servo, most_moving(problem)
-    if servo.follows_speed:
+    if servo.follows_speed or not servo.allowed("limit"):
         return fit
     laws = [*_limited(problem, fit.law), *_unloaded(problem, fit.law)]
     sums = squared(errors(some, laws))
@@ -342,10 +341,23 @@ def preferred(
     problem: JointProblem, one: LawFit, other: LawFit, gain: float = CLOSED_LOOP.gain
 ) -> bool:
     """Whether left-out pieces are predicted better by the other, by `gain` and beyond chance."""
-    found = gains(problem, left_out(problem, one).sums, left_out(problem, other).sums)
-    return bool(found.mean() > gain and paired_t(found) < CLOSED_LOOP.level)
+    before, after = (left_out(problem, fit).sums for fit in (one, other))
+    found = gains(problem, before, after)
+    over = (np.sqrt(sums / problem.rows) / problem.noise for sums in (before, after))
+    return bool(found.mean() > gain and chance(found, *over) < CLOSED_LOOP.level)
 
 
-def each(call, *rows) -> list:
-    """`[call(*row)]` of rows side by side, several at once."""
-    return parallel_map(lambda row: call(*row), list(zip(*rows, strict=True)))
+def chance(differences: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
+    """p of the paired test; 0 where several pieces [P] come from far beyond the noise to it and
+    none is left further beyond it: what acts now and then (a limit) helps few pieces, and these
+    wholly.
+
+    Args:
+        differences: Of the paired test.
+        before, after: [P] errors over the noise.
+    """
+    helped = (before > CLOSED_LOOP.far) & (after < CLOSED_LOOP.enough)
+    harmed = after > np.maximum(CLOSED_LOOP.enough, CLOSED_LOOP.shown * before)
+    if helped.sum() >= CLOSED_LOOP.helped and not harmed.any():
+        return 0.0
+    return paired_t(differences)

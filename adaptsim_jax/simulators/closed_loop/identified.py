@@ -3,7 +3,7 @@ improve, polished on whole trials, and returned to the file's where these do not
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import stats
@@ -23,7 +23,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     solved,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, SHARED, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
@@ -32,14 +32,27 @@ from adaptsim_jax.simulators.closed_loop.polish import (
     Polished,
     WholeTrials,
     better_at,
+    left_out_errors,
     over_noise,
     polished,
     whole_trials,
     without,
 )
+from adaptsim_jax.simulators.closed_loop.rivals import (
+    CARRIED,
+    allowed_by_all,
+    one_shared,
+    or_heavier,
+    or_other_friction,
+    or_rival,
+    or_stepped,
+    with_mass,
+)
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
+STEPPED = ("damping_delay", "shift")
+"""Fitted of all joints together whatever is found: how a simulator or a controller steps."""
 OWN = ("limit", "offset", "rotor", "spring", "zero")
 """Numbers that one joint may have beside its law."""
 
@@ -82,8 +95,11 @@ class ServoLaws:
         recording: What was simulated.
         found: The servos, polished.
         members: What stays beside the file's laws.
-        before, after: Errors [rows, n] rad over whole trials by the file's laws and by these.
+        before, after: Errors [rows, n] rad over whole trials by the file's laws and by these, each
+            piece by the numbers that the others give.
         whole: The trials.
+        instead: Joints whose kp and damping, times one factor, say what a mass that is carried
+            does.
     """
 
     recording: Recording
@@ -92,6 +108,7 @@ class ServoLaws:
     before: np.ndarray
     after: np.ndarray
     whole: WholeTrials
+    instead: tuple[int, ...] = ()
 
     @property
     def laws(self) -> list[ServoLaw]:
@@ -129,7 +146,7 @@ def scale_spread(found: ServoLaws) -> np.ndarray:
     free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
     shared = model.shared
     if found.recording.hand >= 0 and "payload" not in shared:
-        shared = (*shared, "payload")
+        shared = (*shared, *CARRIED)
     wide = polished(found.whole, FittedServos(tuple(free), shared), rounds=0)
     spread = jackknife(wide.steps)
     for i, (j, name) in enumerate(wide.model.coordinates):
@@ -142,7 +159,7 @@ def identified(
     recording: Recording, notify: Callable[[str], None] = lambda note: None
 ) -> ServoLaws:
     """The servos' laws that a recording shows."""
-    notify("servos, joint by joint")
+    notify("whole trials by the file")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
     whole = whole_trials(recording, problems)
@@ -152,7 +169,15 @@ def identified(
     if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
         by_file = polished(whole, FittedServos(tuple(fits.values())), rounds=0)
         return ServoLaws(recording, by_file, (), before, before, whole)
+    by_file = polished(whole, FittedServos(tuple(fits.values()), STEPPED))
+    if over_noise(whole, by_file.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
+        return ServoLaws(recording, by_file, (), by_file.errors, by_file.errors, whole)
+    notify("one number that all servos share")
+    if found := one_shared(whole, file, STEPPED):
+        found, members = _borne_out(whole, found, file, notify)
+        return ServoLaws(recording, found, members, before, left_out_errors(whole, found), whole)
     some = [problems[j] for j in live]
+    notify("servos, joint by joint")
     fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
     shared: list[str] = []
     notify("targets that are late")
@@ -164,49 +189,21 @@ def identified(
     notify("whole trials")
     value = {n: getattr(fits[live[0]].law, n) for n in shared} if live else {}
     full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
-    found = polished(whole, FittedServos(tuple(full), tuple(shared)))
-    laws, _ = _with_friction(whole, found.model.laws)
-    if laws[0].sharp != file[0].sharp:
-        file = [law._replace(sharp=laws[0].sharp) for law in file]
-        full = [f.of(law) for f, law in zip(found.model.fits, laws, strict=True)]
-        found = polished(whole, FittedServos(tuple(full), tuple(shared)))
-    found = _or_rival(whole, _with_payload(whole, found), file)
+    late = any(n in LATE for n in shared)
+    shared += [n for n in STEPPED if n != "shift" or not late]
+    model = with_mass(recording, FittedServos(tuple(full), tuple(shared)))
+    found = polished(whole, model)
+    found = or_other_friction(whole, found)
+    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
+    found = or_stepped(whole, found, file)
+    found, instead = or_heavier(whole, or_rival(whole, found, file), file)
     found, members = _borne_out(whole, found, file, notify)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify)
-    return ServoLaws(recording, found, members, before, found.errors, whole)
-
-
-def _with_payload(whole: WholeTrials, found: Polished) -> Polished:
-    """With a mass at the hand free as well: pieces of single joints take it for other scales."""
-    shared = found.model.shared
-    if whole.recording.hand < 0 or not found.model.coordinates or {"payload", "lift"} & {*shared}:
-        return found
-    return polished(whole, replace(found.model, shared=(*shared, "payload")), rounds=3)
-
-
-RIVALS = (("lift", "payload"), ("payload", "lift"), ("delay", "lag"), ("lag", "delay"))
-"""Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
-
-
-def _or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
-    """The servos with a shared number's rival in its place, where that leaves less."""
-    for name, other in RIVALS:
-        shared = found.model.shared
-        known = other != "payload" or whole.recording.hand >= 0
-        if name not in shared or other in shared or not known:
-            continue
-        fits = []
-        for fit, law in zip(found.model.fits, file, strict=True):
-            value = getattr(fit.law, name) if other in LATE else getattr(law, other)
-            fits.append(fit.of(fit.law._replace(**{name: getattr(law, name), other: value})))
-        names = tuple(other if n == name else n for n in shared)
-        rival = polished(whole, FittedServos(tuple(fits), names))
-        left = [np.log(over_noise(whole, p.errors)).sum() for p in (found, rival)]
-        if left[1] < left[0] - CLOSED_LOOP.gain:
-            return rival
-    return found
+    found = polished(whole, found.model)
+    after = left_out_errors(whole, found)
+    return ServoLaws(recording, found, members, before, after, whole, instead)
 
 
 def _with_friction(
@@ -240,7 +237,7 @@ def _begun(problem: JointProblem, sharp: float) -> LawFit:
 
 def _grown(recording, problems, live, fits, shared, notify):
     """With numbers that all joints share and numbers of one, while left-out pieces improve."""
-    names = [n for n in SHARED if n not in shared and (n != "payload" or recording.hand >= 0)]
+    names = [n for n in allowed_by_all(recording) if n not in shared]
     if any(n in LATE for n in shared):
         names = [n for n in names if n not in LATE]
     alike = len({problems[j].servo.armature for j in live}) == 1 and len(live) > 1
@@ -255,8 +252,8 @@ def _grown(recording, problems, live, fits, shared, notify):
         names = [n for n in names if n != best.name]
         fits = fits | dict(zip(live, best.fits, strict=True))
     notify("numbers of one servo")
-    extras = [n for n in OWN if n not in shared]
-    rows = [(problems[j], fits[j], extras) for j in live]
+    own = [n for n in OWN if n not in shared]
+    rows = [(problems[j], fits[j], problems[j].servo.allowed(*own)) for j in live]
     fits = fits | dict(zip(live, parallel_map(lambda row: _with_own(*row), rows), strict=True))
     return fits, shared
 
@@ -364,13 +361,17 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> l
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
         over = over_noise(whole, error)[joints].max()
         tested = better_at(whole, error, found.errors, joints)
-        change = max(_change(found.model.fits[c[0]].law, file[c[0]], c[1]) for c in coordinates)
+        change = max(
+            _change(found.model.fits[j].law, file[j], n, whole.problems[j]) for j, n in coordinates
+        )
         out.append(LawMember(coordinates, *tested, float(over), change))
     return out
 
 
-def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
-    """Of a law's number how far it is from the file's (log); infinite of what the file has not."""
+def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> float:
+    """How far a number is from the file's: as a logarithm; of a rotor in what damping does within a
+    step, times `CLOSED_LOOP.min_change`; of others in their units, times `CLOSED_LOOP.units`.
+    """
     if name == "damping" and law.kp > 0.0:
         return float(abs(np.log(law.damping / law.kp / (file.damping / file.kp))))
     if name == "scale":
@@ -378,7 +379,10 @@ def _change(law: ServoLaw, file: ServoLaw, name: str) -> float:
         return float(abs(np.log(getattr(law, number) / getattr(file, number))))
     if name == "limit" and file.limit < OPEN:
         return float(abs(np.log(law.limit / file.limit)))
-    return float("inf")
+    off = abs(getattr(law, name) - getattr(file, name))
+    if name == "rotor":
+        return float(off / (problem.step * law.damping) * CLOSED_LOOP.min_change)
+    return float(off / problem.scales.unit(name) * CLOSED_LOOP.units)
 
 
 def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
@@ -393,4 +397,8 @@ def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
                 out.append(tuple(law))
             else:
                 out.append(((j, name),))
-    return out + [((SHARED_BY_ALL, n),) for n in model.shared]
+    shared = [n for n in model.shared if n not in (*STEPPED, "reach")]
+    for name in shared:
+        names = CARRIED if name == "payload" else (name,)
+        out.append(tuple((SHARED_BY_ALL, n) for n in names if n in model.shared))
+    return out

@@ -150,11 +150,28 @@ def dynamics_along(model: mujoco.MjModel, servos: Sequence[Servo], motion: Trial
     return Dynamics(*out)
 
 
-def heavier(model: mujoco.MjModel, body: int, mass: float) -> mujoco.MjModel:
-    """A copy whose body weighs more, at its centre of mass."""
+SPHERE = 4e-4  # m^2: moment of inertia of a payload over its mass, of a sphere of 3 cm
+
+
+def heavier(
+    model: mujoco.MjModel, body: int, mass: float, at: np.ndarray | None = None
+) -> mujoco.MjModel:
+    """A copy whose body weighs `mass` kg more, at a point [3] of its frame; None: at its centre."""
     new = copy.copy(model)
-    new.body_mass[body] += mass
-    new.body_inertia[body] += 4e-4 * abs(mass)
+    before, centre = float(model.body_mass[body]), model.body_ipos[body].copy()
+    place = centre if at is None else np.asarray(at)
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
+    turn = turn.reshape(3, 3)
+    middle = (before * centre + mass * place) / max(before + mass, 1e-9)
+    moments = turn @ np.diag(model.body_inertia[body]) @ turn.T + SPHERE * abs(mass) * np.eye(3)
+    for m, x in ((before, centre - middle), (mass, place - middle)):
+        moments += m * (x @ x * np.eye(3) - np.outer(x, x))
+    size, axes = np.linalg.eigh(moments)
+    axes *= np.sign(np.linalg.det(axes))
+    new.body_mass[body], new.body_ipos[body] = before + mass, middle
+    new.body_inertia[body] = np.maximum(size, 1e-12)
+    mujoco.mju_mat2Quat(new.body_iquat[body], axes.ravel())
     mujoco.mj_setConst(new, mujoco.MjData(new))
     return new
 
@@ -172,6 +189,7 @@ class Recording:
         noise: [n] of the encoders, rad.
         inertia: [n] about the joints, on average, kg m^2.
         hand: The body that carries a payload, -1: none does.
+        outward: [3] in its frame: from its joint to its centre of mass, of length 1.
         step: Of the simulation of one joint, s.
     """
 
@@ -183,6 +201,7 @@ class Recording:
     noise: np.ndarray
     inertia: np.ndarray
     hand: int
+    outward: np.ndarray
     step: float
 
     @property

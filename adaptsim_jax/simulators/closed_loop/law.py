@@ -35,6 +35,7 @@ class ServoLaw(NamedTuple):
         delay, lag: Of the target, s.
         rotor: Inertia beyond the file's, kg m^2.
         payload: Mass beyond the file's that the last body carries, kg.
+        reach: From that body's centre of mass outward to the payload's, m. Of whole trials alone.
         lift: Share of gravity that the controller feeds forward (1).
         offset: Of the target, rad.
         spring: About the angle zero, N m/rad.
@@ -42,6 +43,9 @@ class ServoLaw(NamedTuple):
         inside: 1: the limit cuts the whole force; 0: its part by the position error alone, as the
             voltage of a motor is before its back electromotive force.
         sharp: 1: dry friction holds a joint still; 0: it creeps, as MuJoCo's does.
+        damping_delay: By which damping acts late (early: below 0), s, as steps of a simulator or of
+            a controller make it: to first order a lighter joint. Of whole trials alone.
+        shift: By which targets act late, s, likewise.
     """
 
     kp: Any
@@ -58,6 +62,9 @@ class ServoLaw(NamedTuple):
     zero: Any
     inside: Any
     sharp: Any
+    damping_delay: Any = 0.0
+    shift: Any = 0.0
+    reach: Any = 0.0
 
 
 SCALED = ("kp", "damping", "rub", "limit")
@@ -101,6 +108,7 @@ class Servo:
         command_range: Within which commands act.
         ends: Of the joint's range, rad.
         rest: Of the joint's spring, rad.
+        excluded: Numbers of the law that are not fitted.
     """
 
     name: str
@@ -120,13 +128,18 @@ class Servo:
     command_range: tuple[float, float]
     ends: tuple[float, float]
     rest: float
+    excluded: frozenset[str] = frozenset()
 
     @property
     def free(self) -> tuple[str, ...]:
         """Coordinates of a law that is fitted."""
         if self.follows_speed:
-            return ("scale", "rub")
-        return ("scale", "damping", "rub")
+            return self.allowed("scale", "rub")
+        return self.allowed("scale", "damping", "rub")
+
+    def allowed(self, *names: str) -> tuple[str, ...]:
+        """Of some numbers those that may be fitted."""
+        return tuple(n for n in names if n not in self.excluded)
 
 
 def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
@@ -279,6 +292,7 @@ class Scales:
     def unit(self, name: str) -> float:
         """The size of a coordinate of 1."""
         fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
+        fixed |= {"damping_delay": 1e-3, "shift": 1e-3, "reach": 0.05}
         own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
         own["spring"] = self.force / max(self.swing, 1e-3)
         return (fixed | own)[name]
@@ -322,6 +336,9 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "lift": (-1.0, 2.0),
         "offset": (-0.3, 0.3),
         "zero": (-0.3, 0.3),
+        "damping_delay": (-CLOSED_LOOP.damping_delay, CLOSED_LOOP.damping_delay),
+        "shift": (-CLOSED_LOOP.late, CLOSED_LOOP.late),
+        "reach": (-0.2 * CLOSED_LOOP.reach, CLOSED_LOOP.reach),
         "spring": (0.0, np.inf),
     }
     for name in free:
@@ -382,7 +399,8 @@ def with_model(
     model.actuator_actearly[k] = True
     model.dof_damping[dof] = law.damping - inner * law.inside
     model.dof_frictionloss[dof] = law.rub
-    model.dof_armature[dof] = max(servo.armature + law.rotor, 0.0)
+    rotor = servo.armature + law.rotor - law.damping_delay * law.damping
+    model.dof_armature[dof] = max(rotor, 0.0)
     model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
     model.qpos_spring[servo.qpos] = servo.rest
     if law.sharp:

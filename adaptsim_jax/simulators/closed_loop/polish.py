@@ -9,12 +9,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.closed_loop.fit import LawFit, paired_t, prior_of, pulled, solved
+from adaptsim_jax.simulators.closed_loop.fit import LawFit, chance, prior_of, pulled, solved
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
 from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
 
-STEP = {"delay": 0.2, "lag": 0.2, "rotor": 0.02, "payload": 0.02, "lift": 0.02, "offset": 0.05}
+STEP = {
+    "delay": 0.2,
+    "lag": 0.2,
+    "rotor": 0.02,
+    "payload": 0.02,
+    "reach": 0.1,
+    "lift": 0.02,
+    "offset": 0.05,
+    "damping_delay": 0.2,
+    "shift": 0.2,
+}
 OTHER_STEP = 0.01
 SHARED_BY_ALL = -1
 
@@ -123,7 +133,7 @@ def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> Whol
     """The rows after the first instants of each trial count."""
     counted = np.concatenate([t.time > 0.02 for t in recording.trials])
     model = copy.copy(recording.model)
-    model.opt.timestep = recording.step
+    model.opt.timestep = CLOSED_LOOP.rough * recording.step
     rough = replace(recording, model=model)
     return WholeTrials(recording, rough, tuple(problems), blocks_of(recording), counted)
 
@@ -205,6 +215,22 @@ def _jackknifed(whole: WholeTrials, hess, slope, prior) -> np.ndarray:
     )
 
 
+def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
+    """Errors [rows, n] rad of whole trials, each group of pieces by the numbers that one step
+    without it gives.
+    """
+    out = found.errors.copy()
+    groups = whole.problems[0].groups
+    if not found.model.coordinates:
+        return out
+    models = [whole.moved(found.model, np.clip(step, -0.7, 0.7)) for step in found.steps]
+    every = whole.errors([m.laws for m in models])
+    for group, error in zip(groups, every, strict=True):
+        rows = np.isin(whole.block, group)
+        out[rows] = error[rows]
+    return out
+
+
 Coordinate = tuple[int, str]
 
 
@@ -282,9 +308,13 @@ def better_at(
     that are better).
     """
     rows = np.bincount(whole.block[whole.block >= 0], minlength=len(whole.recording.pieces))
-    total = np.zeros(len(rows))
-    for j in joints:
-        floor = 0.05 * rows * whole.problems[j].noise ** 2
-        one, other = (whole.by_piece(e)[:, j] + floor for e in (before, after))
-        total += np.clip(np.log(one / other), -1.0, 1.0)
-    return float(total.mean()), paired_t(total), int((total > 0.0).sum())
+    noise = np.array([whole.problems[j].noise for j in joints])
+    one, other = (
+        np.sqrt(whole.by_piece(e)[:, joints] / np.maximum(rows, 1)[:, None]) / noise
+        for e in (before, after)
+    )
+    floor = 0.05  # of the squared noise, below which nothing counts
+    by_joint = np.clip(np.log((one**2 + floor) / (other**2 + floor)), -1.0, 1.0)
+    total = by_joint.sum(1)
+    p = chance(total, one.max(1), other.max(1))
+    return float(total.mean()), p, int((total > 0.0).sum())

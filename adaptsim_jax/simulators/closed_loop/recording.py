@@ -40,13 +40,11 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     noise = encoder_noise(trials)
     inertia = _inertia(model, servos, trials)
     step = float(model.opt.timestep)
-    damping = np.array([s.law.damping for s in servos])
-    if np.any(step * damping > CLOSED_LOOP.stiffest * inertia):
-        return None
     if _fast(servos, inertia, step):
         model.opt.timestep = 0.5 * step
     hand = _hand(model, servos)
-    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, step)
+    way = _outward(model, hand)
+    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, way, step)
 
 
 def _fast(servos: tuple[Servo, ...], inertia: np.ndarray, step: float) -> bool:
@@ -86,13 +84,23 @@ def _prepared(spec: mujoco.MjSpec) -> None:
 
 def _hand(model: mujoco.MjModel, servos: tuple[Servo, ...]) -> int:
     """The body that all joints carry: that of the last one of a single chain, else -1."""
-    bodies = [int(model.dof_bodyid[s.dof]) for s in servos if not s.slides]
-    if not bodies:
-        return -1
+    hinges = [s for s in servos if not s.slides]
+    bodies = [int(model.dof_bodyid[s.dof]) for s in hinges or servos]
     last = max(bodies, key=lambda b: len(_chain(model, b)))
     if set(bodies) <= set(_chain(model, last)):
         return last
     return -1
+
+
+def _outward(model: mujoco.MjModel, hand: int) -> np.ndarray:
+    """[3] from a body's joint to its centre of mass, or along the joint's axis where both are near
+    each other.
+    """
+    joint = int(model.body_jntadr[hand])
+    way = model.body_ipos[hand] - model.jnt_pos[joint]
+    if np.linalg.norm(way) < CLOSED_LOOP.near:
+        way = model.jnt_axis[joint]
+    return way / np.linalg.norm(way)
 
 
 def _chain(model: mujoco.MjModel, body: int) -> list[int]:

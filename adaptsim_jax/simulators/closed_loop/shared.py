@@ -153,6 +153,8 @@ def late_targets(
     chosen = np.argsort(worth)[::-1][:INFORMATIVE]
     tried: list[Attempt] = []
     for name in LATE:
+        if not all(p.servo.allowed(name) for p in problems):
+            continue
         own = parallel_map(lambda j, name=name: begun(problems[j], fits[j].law, name), chosen)
         better = [
             score(problems[j], left(problems[j], fits[j].law))

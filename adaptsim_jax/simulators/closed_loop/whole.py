@@ -22,7 +22,8 @@ def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel
     """The model whose servos have these laws."""
     payload = laws[0].payload
     if recording.hand >= 0 and payload:
-        model = heavier(recording.model, recording.hand, payload)
+        at = recording.model.body_ipos[recording.hand] + laws[0].reach * recording.outward
+        model = heavier(recording.model, recording.hand, payload, at)
     else:
         model = copy.copy(recording.model)
     for servo, law, inertia in zip(recording.servos, laws, recording.inertia, strict=True):
@@ -42,7 +43,7 @@ def arrived_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) 
         held = t.target[:, j]
         whole = np.append(0.0, np.cumsum(np.diff(edges) * held))
         shift = later(law.kp, law.damping, recording.inertia[j] + law.rotor, dt)
-        at = dt * np.arange(steps + 1) - law.delay - shift
+        at = dt * np.arange(steps + 1) - law.delay - law.shift - shift
         area = np.where(at < 0.0, at * held[0], np.interp(at, edges, whole))
         mean = np.diff(area) / dt
         if law.lag > 1e-6:

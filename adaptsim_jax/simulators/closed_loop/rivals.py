@@ -1,0 +1,159 @@
+"""Explanations that pieces of single joints hardly tell apart, held against each other over whole
+trials.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
+from adaptsim_jax.simulators.closed_loop.fit import LawFit
+from adaptsim_jax.simulators.closed_loop.imposed import Recording
+from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw
+from adaptsim_jax.simulators.closed_loop.polish import (
+    FittedServos,
+    Polished,
+    WholeTrials,
+    over_noise,
+    polished,
+    without,
+)
+from adaptsim_jax.simulators.closed_loop.shared import LATE
+
+
+def allowed_by_all(recording: Recording) -> list[str]:
+    """Numbers that all joints may share."""
+    names = [n for n in SHARED if all(s.allowed(n) for s in recording.servos)]
+    return [n for n in names if n != "payload" or recording.hand >= 0]
+
+
+CARRIED = ("payload", "reach")
+"""Of a mass at the hand."""
+RIVALS = (
+    (("lift",), CARRIED),
+    (CARRIED, ("lift",)),
+    (("delay",), ("lag",)),
+    (("lag",), ("delay",)),
+)
+"""Shared numbers that pieces of single joints hardly tell apart: whole trials decide."""
+
+
+def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
+    """With a mass at the hand free as well, and its place: pieces of single joints take it for
+    other scales.
+    """
+    known = "payload" in allowed_by_all(recording) and "lift" not in model.shared
+    if not known or not model.coordinates:
+        return model
+    fits = model.fits
+    if "payload" not in model.shared:
+        fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits)
+    return FittedServos(fits, tuple(dict.fromkeys((*model.shared, *CARRIED))))
+
+
+def or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+    """The servos with a shared number's rival in its place, where that leaves less."""
+    for names, others in RIVALS:
+        shared, known = found.model.shared, allowed_by_all(whole.recording)
+        if names[0] not in shared or others[0] in shared or others[0] not in known:
+            continue
+        fits = []
+        for fit, law in zip(found.model.fits, file, strict=True):
+            own = {n: getattr(law, n) for n in (*names, *others)}
+            if others[0] in LATE:
+                own[others[0]] = getattr(fit.law, names[0])
+            if others is CARRIED:
+                own["reach"] = CLOSED_LOOP.tool
+            fits.append(fit.of(fit.law._replace(**own)))
+        rest = tuple(n for n in shared if n not in names)
+        rival = polished(whole, FittedServos(tuple(fits), (*others, *rest)))
+        if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
+            return rival
+    return found
+
+
+def or_other_friction(whole: WholeTrials, found: Polished) -> Polished:
+    """With dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
+    once all else is fitted with it.
+    """
+    if not any(law.rub for law in found.model.laws):
+        return found
+    fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in found.model.fits)
+    rival = polished(whole, replace(found.model, fits=fits), rounds=2)
+    if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
+        return rival
+    return found
+
+
+def or_stepped(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+    """Without any rotor, where damping that acts at another time in a step does as well."""
+    rotors = [(j, "rotor") for j, f in enumerate(found.model.fits) if "rotor" in f.free]
+    if not rotors:
+        return found
+    rival = polished(whole, without(whole, found, rotors, file))
+    if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+        return rival
+    return found
+
+
+def left_over(whole: WholeTrials, found: Polished) -> float:
+    """Logarithm of what is left of whole trials over the noise, summed over joints."""
+    return float(np.log(over_noise(whole, found.errors)).sum())
+
+
+def or_heavier(
+    whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]
+) -> tuple[Polished, tuple[int, ...]]:
+    """A mass that is carried in the place of kp and damping that are the file's times one factor,
+    where whole trials are simulated as well, by fewer numbers; and the joints whose gains say the
+    same.
+    """
+    model = found.model
+    joints = tuple(
+        j
+        for j, (fit, law) in enumerate(zip(model.fits, file, strict=True))
+        if "scale" in fit.free and law.kp > 0.0 and _same_ratio(fit.law, law)
+    )
+    if not joints or "payload" not in allowed_by_all(whole.recording):
+        return found, ()
+    fits = list(model.fits)
+    for j in joints:
+        law, free = fits[j].law, tuple(n for n in fits[j].free if n not in ("scale", "damping"))
+        fits[j] = LawFit(law._replace(kp=file[j].kp, damping=file[j].damping), free)
+    if "payload" not in model.shared:
+        fits = [f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits]
+    shared = tuple(dict.fromkeys((*model.shared, *CARRIED)))
+    rival = polished(whole, FittedServos(tuple(fits), shared), rounds=8)
+    if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+        return rival, joints
+    return found, ()
+
+
+def one_shared(
+    whole: WholeTrials, file: Sequence[ServoLaw], stepped: Sequence[str]
+) -> Polished | None:
+    """The file's laws with one number that all joints share (a delay, a filter, a mass at the hand,
+    gravity fed forward), where that leaves no more than noise.
+
+    Args:
+        stepped: How a simulator steps, fitted with it.
+    """
+    known, found = allowed_by_all(whole.recording), []
+    for names in (CARRIED, ("lift",), ("delay",), ("lag",)):
+        if names[0] not in known:
+            continue
+        rest = [n for n in stepped if n != "shift" or names[0] not in LATE]
+        reach = CLOSED_LOOP.tool if names is CARRIED else 0.0
+        fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
+        found.append(polished(whole, FittedServos(fits, (*names, *rest)), rounds=8))
+    best = min(found, key=lambda f: left_over(whole, f), default=None)
+    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.lacks_nothing:
+        return None
+    return best
+
+
+def _same_ratio(law: ServoLaw, file: ServoLaw) -> bool:
+    """Whether damping over kp is the file's."""
+    off = np.log(law.damping / law.kp / (file.damping / file.kp))
+    return bool(abs(off) < CLOSED_LOOP.min_change)
