@@ -16,7 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import DELAY
 from adaptsim_jax.effects.joints.catalogue import MACHINE
-from adaptsim_jax.effects.joints.forces import ARMATURE, DAMPING_STEP, SPRING
+from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
 from adaptsim_jax.environments.fields import MIN_FRICTION
 from adaptsim_jax.environments.laws import Laws
@@ -24,7 +24,7 @@ from adaptsim_jax.mechanisms.tree import Tree, make_tree
 
 Columns = Mapping[tuple[str, str], np.ndarray]
 
-IN_MODEL = (VISCOUS, COULOMB, ARMATURE, DAMPING_STEP, SPRING)
+IN_MODEL = (VISCOUS, COULOMB, ARMATURE, SPRING)
 """Effects that MJX has in its model, of joints whose drive is rigid."""
 SHARP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of dry friction that ends a speed within a step, as of real joints: it gives by 1e-4."""
@@ -101,12 +101,11 @@ def of_joints(one: Machine) -> dict[str, np.ndarray]:
         return np.asarray(columns.get((effect.name, name), np.zeros(n)))
 
     stiffness, rigid = of(SPRING, "stiffness"), ~giving_joints(columns, n)
-    step = of(DAMPING_STEP, "step") * of(DAMPING_STEP, "damping")
     rest = of(SPRING, "preload") / np.where(stiffness != 0.0, stiffness, 1.0)
     return {
         "damping": rigid * of(VISCOUS, "damping"),
         "frictionloss": rigid * of(COULOMB, "level"),
-        "armature": rigid * (of(ARMATURE, "inertia") + step),
+        "armature": rigid * of(ARMATURE, "inertia"),
         "stiffness": rigid * stiffness,
         "springref": np.where(stiffness != 0.0, rest, np.asarray(one.tree.springref)),
     }

@@ -234,7 +234,7 @@ def _field(effect: str, where: str, parameter: str) -> str | None:
         return None
     if (effect, parameter) in IN_MODEL:
         return f"joint:{where}.{IN_MODEL[effect, parameter]}"
-    if effect in ("spring", "damping_step"):
+    if effect == "spring":
         return None
     return f"effect:{where}.{effect}.{parameter}"
 

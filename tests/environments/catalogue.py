@@ -63,7 +63,6 @@ WORLDS: dict[str, list[tuple[str, str, dict[str, float]]]] = {
     "friction_drift": [("friction_drift", S, {"viscous": 0.3, "dry": 0.2, "decay": 1.0})],
     "hard_stop": [("hard_stop", E, {"stiffness": 60, "angle": 0.2, "side": 1.0})],
     "armature": [("armature", E, {"inertia": 0.03})],
-    "damping_step": [("damping_step", E, {"step": 0.05, "damping": 0.2})],
     "torque_gain": [("torque_gain", S, {"gain": -0.3})],
     "torque_coupling": [("torque_coupling", E, {"onto": 0.1, "back": 0.1})],
     "friction_coupling": [("friction_coupling", E, {"damping": 0.03})],
