@@ -147,10 +147,13 @@ WITHIN = {
     ),
     "environments": (
         "fields",
+        "laws",
         "simulated",
         "own",
         "peers",
+        "found_laws",
         "mended",
+        "diagnosed",
         "episodes",
         "trainer",
         "course",

@@ -214,7 +214,7 @@ class Session:
         start_key, key = jax.random.split(jax.random.key(seed))
         used = archive_size(phase1, self.trained.rounds)
         self.state: AskState = self.loop.init(
-            key, draw_starts(start_key, self.trained.state.archive, used, starts)
+            key, draw_starts(start_key, self.trained.state.archive, used, starts, self.task.first)
         )
 
     @property

@@ -43,11 +43,20 @@ class Phase2Result(NamedTuple):
 
 
 def draw_starts(
-    key: jax.Array, archive: DistributionArchive, used: jax.Array | int, count: int
+    key: jax.Array,
+    archive: DistributionArchive,
+    used: jax.Array | int,
+    count: int,
+    first: Any = None,
 ) -> DistributionArchive:
-    """`count` of the first `used` members of S_E, uniformly: leading axis `[count]`."""
+    """`count` of the first `used` members of S_E, uniformly: leading axis `[count]`. first: E's
+    mean `[D]` (unit coordinates) in the first of them, where the task has one.
+    """
     index = jax.random.randint(key, (count,), 0, used)
-    return jax.tree.map(lambda x: x[index], archive)
+    drawn = jax.tree.map(lambda x: x[index], archive)
+    if first is None:
+        return drawn
+    return drawn._replace(mean=drawn.mean.at[0].set(jnp.asarray(first, drawn.mean.dtype)))
 
 
 def adapt(

@@ -224,7 +224,11 @@ def adapt_run(
     phase1 = trained.phase1
     start_key, run_key = jax.random.split(key)
     chosen = draw_starts(
-        start_key, trained.state.archive, archive_size(phase1, trained.rounds), starts
+        start_key,
+        trained.state.archive,
+        archive_size(phase1, trained.rounds),
+        starts,
+        phase1.task.first,
     )
 
     def found(k, w, s, t, h):

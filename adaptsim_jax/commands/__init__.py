@@ -8,6 +8,7 @@ SUMMARIES = {
     "sweep": "many runs of Phase 1 and 2: hyper-parameters x seeds, on all devices or many "
     "machines",
     "adapt": "Phase 2: adapt a trained run to a target",
+    "close": "recordings and an env.toml in: diagnose, mend, train and adapt, before and after",
     "compare": "methods x settings x seeds, as in Table 1 of the paper",
     "init": "a meta.toml for recordings of a mechanism, guesses marked as such",
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",

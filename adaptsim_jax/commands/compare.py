@@ -27,7 +27,7 @@ ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx o
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive, settable
+    from adaptsim_jax.commands.parser import of_diagnosis, positive, settable
 
     parser.add_argument(
         "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
@@ -50,6 +50,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
         metavar="A,B",
         help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml",
     )
+    of_diagnosis(parser)
     parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
     parser.add_argument(
         "--config", metavar="FILE", help="a TOML file of the comparison's config to start from"

@@ -108,9 +108,11 @@ def run(args: argparse.Namespace) -> int:
         read = pendulum
     judge = read(args, split_names(args.without))  # refused before anything is written
     from adaptsim_jax.diagnosis.written import faults_into
+    from adaptsim_jax.mend.randomisation import write_randomisation
 
     with output(args.out) as out, faults_into(out), progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
+        write_randomisation(out)
     return print_answer(args, result, out, replays=task is None and not named)
 
 

@@ -34,8 +34,23 @@ def task_word(args: argparse.Namespace) -> str:
         from adaptsim_jax.environments.setting import read_env
 
         args.env = read_env(args.task)
+        if getattr(args, "diagnosis", None):
+            from adaptsim_jax.environments.diagnosed import diagnosed
+
+            args.env["task"] = diagnosed(args.env.get("task", {}), args.diagnosis)
         return "environment"
+    if getattr(args, "diagnosis", None):
+        raise BadInput(f"--diagnosis: '{args.task}' is no env.toml; give --model instead")
     return check_task(args.task)
+
+
+def of_diagnosis(parser: argparse.ArgumentParser) -> None:
+    """`--diagnosis`, of commands that take an env.toml."""
+    parser.add_argument(
+        "--diagnosis",
+        metavar="OUT",
+        help="of an env.toml, a folder of `adaptsim diagnose`: model, Omega and E's first mean",
+    )
 
 
 @contextlib.contextmanager

@@ -17,12 +17,13 @@ EXAMPLES = """
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
   adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
   adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
+  adaptsim train env.toml --run runs/f --diagnosis out             Omega and E's first mean from randomisation.toml
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """  # noqa: E501
 
 
 def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import settable
+    from adaptsim_jax.commands.parser import of_diagnosis, settable
 
     parser.add_argument(
         "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
@@ -34,6 +35,7 @@ def arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
     )
+    of_diagnosis(parser)
     start = parser.add_mutually_exclusive_group()
     start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
     names = (

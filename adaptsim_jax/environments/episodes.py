@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import INTERFACE, ModelField
 from adaptsim_jax.environments.simulated import Physics, SimulatedTask
 
@@ -67,6 +68,13 @@ def make_play(
     """
     names = [field.name for field in fields]
     longest = max(longest, 0.0 if "delay" in names else sim.interface.get("delay", 0.0))
+    if longest > sim.late > 0:
+        raise BadInput(
+            f"delay: {longest:g} s is more than the {sim.late:g} s that the model.toml's own "
+            "delays leave room for; give less"
+        )
+    if sim.late:
+        longest = 0.0
     held = int(-(-longest // sim.dt)) + 2 if longest > 0 else 1
 
     def own(values, name):
@@ -79,7 +87,7 @@ def make_play(
         model = sim.edit(sim.model, fields, values)
         return SteppedModel(
             model,
-            own(values, "delay") / sim.dt,
+            jnp.zeros(()) if sim.late else own(values, "delay") / sim.dt,
             own(values, "action_scale"),
             own(values, "observation_noise"),
         )

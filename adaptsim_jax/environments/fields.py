@@ -49,6 +49,7 @@ INTERFACE = {  # what lies between policy and model: unit, minimum, nominal
     "observation_noise": ("of the observation", 0.0, 0.0),
 }
 DOFS = {int(mujoco.mjtJoint.mjJNT_FREE): 6, int(mujoco.mjtJoint.mjJNT_BALL): 3}
+OF_LAWS = "laws/"  # arrays that are numbers of laws, not of the model
 MIN_FRICTION = 1e-6
 """N or N m: MJX takes a row of friction 0 for one that holds whatever the load."""
 
@@ -74,6 +75,13 @@ class ModelField:
     edits: tuple[Edit, ...] = ()
 
 
+class Lawed(NamedTuple):
+    """A model with what acts beside MJX: fields of its laws by name."""
+
+    native: mujoco.MjModel
+    own: Mapping[str, ModelField]
+
+
 def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     """The field called `name` of `model`, an MjModel or gymnax's parameters. BadInput with the
     nearest names where the model has none.
@@ -85,6 +93,12 @@ def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     if name in INTERFACE:
         unit, minimum, nominal = INTERFACE[name]
         return ModelField(name, nominal, unit, minimum)
+    if isinstance(model, Lawed):
+        if name in model.own:
+            return model.own[name]
+        if name.startswith("effect:"):
+            raise BadInput(f"{where}: '{name}' is no field; {suggest(name, list(model.own))}")
+        model = model.native
     if not isinstance(model, mujoco.MjModel):
         return _of_params(model, name, where)
     form = parse(name)
@@ -204,6 +218,8 @@ def known_fields(model: Any) -> list[str]:
     without their index.
     """
     names = list(INTERFACE)
+    if isinstance(model, Lawed):
+        return [*known_fields(model.native), *model.own]
     if not isinstance(model, mujoco.MjModel):
         if dataclasses.is_dataclass(model):
             own = [f.name for f in dataclasses.fields(model)]

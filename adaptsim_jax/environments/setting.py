@@ -15,7 +15,8 @@ from adaptsim_jax.environments.episodes import (
     Play,
     make_play,
 )
-from adaptsim_jax.environments.fields import ModelField, space_of
+from adaptsim_jax.environments.fields import ModelField, field_of, space_of
+from adaptsim_jax.environments.mended import as_asked, mended
 from adaptsim_jax.environments.peers import from_gymnax
 from adaptsim_jax.environments.simulated import SimulatedTask, simulated
 from adaptsim_jax.environments.targets import Target, hidden_fields, target_of
@@ -32,8 +33,10 @@ class EnvironmentConfig:
 
     env: `cartpole`, `arm`, `playground:NAME`, `brax:NAME`, `gymnax:NAME`, `module:function`,
         `file.py:function`. options: Given to it.
+    model: A `model.toml` of `adaptsim diagnose`, whose findings the simulator has.
     fields: Omega, a range `[low, high]` or `[low, high, "log"]` for each number by name
         (docs/howto/environment.md).
+    start: E's first mean in the first start of an adaptation, by the names of `fields`.
     wide: How far beyond Omega, as a share of each range, Phase 1 draws its targets. trials:
         Episodes of a visit, each counted.
     length: Steps of an episode, 0 for the environment's own.
@@ -45,12 +48,14 @@ class EnvironmentConfig:
     doubt: Variance of a visit's return by luck, over that by E's mean; 0 deploys what returned most
         once.
     targets: For each by name a table of values of any field, Omega's or not, and of the engine
-        (`environments/targets.py`).
+        (`environments/targets.py`), or a `model.toml` that it has.
     """
 
     env: str = "cartpole"
+    model: str = ""
     options: dict[str, Any] = field(default_factory=dict)
     fields: dict[str, Any] = field(default_factory=dict)
+    start: dict[str, float] = field(default_factory=dict)
     wide: float = 0.3
     trials: int = 1
     length: int = 0
@@ -83,6 +88,10 @@ def read_env(path: str | Path) -> dict[str, Any]:
     home, colon, thing = str(options.get("env", "")).rpartition(":")
     if colon and home.endswith(".py"):
         options["env"] = f"{(Path(path).parent / home).resolve()}:{thing}"
+    targets = options.get("targets", {})
+    for holder in (options, *(targets.values() if isinstance(targets, dict) else ())):
+        if isinstance(holder, dict) and isinstance(holder.get("model"), str) and holder["model"]:
+            holder["model"] = str((Path(path).parent / holder["model"]).resolve())
     configs.from_table(EnvironmentConfig, options, str(path))
     return {key: table[key] for key in OF_RUN if key in table} | {"task": options}
 
@@ -118,6 +127,8 @@ def setting_of(
     """`env` with `config`; all that a person may have got wrong is told here, before anything is
     compiled.
     """
+    if config.model:
+        env = mended(env, config.model)
     raw = environment(env, where=where)
     ranges = config.fields or getattr(env, "fields", {})
     space, omega = space_of(raw.names, ranges, f"{where}, fields")
@@ -128,10 +139,7 @@ def setting_of(
 
     fields = tuple(map(own, (*omega, *hidden_fields(raw.names, table, omega))))
     omega = fields[: space.dim]
-    targets = {
-        name: target_of(name, given, fields, raw.native is not None)
-        for name, given in table.items()
-    }
+    targets = {name: _target(name, given, fields, env, raw) for name, given in table.items()}
     sim = environment(env, omega, config.length, where)
     longest = [
         p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"
@@ -140,6 +148,22 @@ def setting_of(
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, obs_dim_of(play, omega, where))
     return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest)
+
+
+def _target(
+    name: str, given: Any, fields: tuple[ModelField, ...], env: Any, raw: SimulatedTask
+) -> Target:
+    """A target; with a `model` of its own, what it does not name is as that says. Where something
+    acts beside MJX, the engine is the simulator unless the target says otherwise.
+    """
+    if given.get("model"):
+        raw = environment(mended(env, given["model"]))
+        found = {f.name: field_of(raw.names, f.name).nominal for f in fields}
+        found |= raw.interface
+        fields = tuple(replace(f, nominal=found[f.name]) for f in fields)
+    if raw.laws is not None:
+        given = {"engine": "simulator"} | dict(given)
+    return target_of(name, given, fields, raw.native is not None)
 
 
 def compiled(trainer: Trainer) -> Trainer:
@@ -157,7 +181,7 @@ def environment(
     """
     if hasattr(env, "default_params") and hasattr(env, "step_env"):
         return from_gymnax(env, env.default_params, length)
-    return simulated(env, fields, length, where)
+    return simulated(as_asked(env, where), fields, length, where)
 
 
 def obs_dim_of(play: Play, fields: tuple[ModelField, ...], where: str) -> int:

@@ -19,7 +19,16 @@ import mujoco
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
-from adaptsim_jax.environments.fields import ModelField, edit_native, edited
+from adaptsim_jax.effects.joints.actuator import DELAY
+from adaptsim_jax.environments.fields import (
+    OF_LAWS,
+    Edit,
+    Lawed,
+    ModelField,
+    edit_native,
+    edited,
+)
+from adaptsim_jax.environments.laws import Laws, with_numbers
 
 mjx = mjx_module()
 
@@ -34,7 +43,8 @@ class SimulatedTask:
 
     native: The file's model, None where there is none (gymnax). length: Steps of an episode, of
     `dt` s each. interface: Nominal values of its fields, where they are others than usual (a delay
-    that was measured).
+    that was measured). laws: What acts beside MJX (`laws.py`), None where nothing does; they are in
+    `model` too. late: The longest delay [s] that these hold, 0 where they hold none.
     """
 
     name: str
@@ -50,13 +60,17 @@ class SimulatedTask:
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
     edit: Callable[[Any, tuple[ModelField, ...], jax.Array], Any] = edited
     interface: Mapping[str, float] = field(default_factory=dict)
+    late: float = 0.0
+    laws: Any = None
 
     @property
     def names(self) -> Any:
-        """Where fields are found by name: the file's model, or gymnax's parameters."""
+        """Where fields are found by name: the file's model, with its laws where there are some, or
+        gymnax's parameters.
+        """
         if self.native is None:
             return self.model
-        return self.native
+        return self.native if self.laws is None else Lawed(self.native, own_fields(self.laws))
 
 
 def simulated(
@@ -68,8 +82,13 @@ def simulated(
     """
     holder, native = _models_of(env, where)
 
+    laws = getattr(env, "laws", None)
+
     def bound(model):
         one = copy.copy(env)
+        if laws is not None:
+            model, numbers = model
+            object.__setattr__(one, "laws", numbers)
         object.__setattr__(one, holder, model)
         return one
 
@@ -78,7 +97,7 @@ def simulated(
             return bound(model).reset(key)
 
     def step(model, state, action, physics: Physics | None = None):
-        with jax.numpy_rank_promotion("allow"), _physics(physics, type(env).__name__):
+        with jax.numpy_rank_promotion("allow"), stepping_by(physics, type(env).__name__):
             return bound(model).step(state, action)
 
     def observed(state):
@@ -87,10 +106,13 @@ def simulated(
         reward, done = (number_of(getattr(state, x), f"{name}.{x}") for x in ("reward", "done"))
         return vector_of(obs, f"{name}.obs"), reward, done
 
+    model, delays = _awake(getattr(env, holder), native, fields), False
+    if laws is not None:
+        model, delays = (model, laws), DELAY.name in laws.values.effects
     return SimulatedTask(
         name=type(env).__name__,
         native=native,
-        model=_awake(getattr(env, holder), native, fields),
+        model=model,
         action_dim=int(env.action_size),
         length=length or _length(env),
         dt=float(env.dt),
@@ -98,8 +120,48 @@ def simulated(
         step=step,
         observed=observed,
         data=lambda state: getattr(state, "data", getattr(state, "pipeline_state", None)),
+        edit=edited if laws is None else edited_both,
         interface=getattr(env, "interface", {}),
+        late=(laws.past - 2) * native.opt.timestep if delays else 0.0,
+        laws=laws,
     )
+
+
+def edited_both(both: tuple[Any, Laws], fields: tuple[ModelField, ...], values: jax.Array) -> Any:
+    """A model and its laws with `values [F]` of `fields`; `delay` is that of every command."""
+    model, laws = both
+    numbers: dict[tuple[str, str, Any], Any] = {}
+    for field_, value in zip(fields, values, strict=True):
+        if field_.name == "delay" and DELAY.name in laws.values.effects:
+            numbers[DELAY.name, "delay", slice(None)] = value
+        for edit in field_.edits:
+            if edit.array.startswith(OF_LAWS):
+                _, effect, parameter = edit.array.split("/")
+                numbers[effect, parameter, edit.index[0]] = value
+    of_model = [
+        i for i, f in enumerate(fields) if not any(e.array.startswith(OF_LAWS) for e in f.edits)
+    ]
+    rest = tuple(fields[i] for i in of_model)
+    return edited(model, rest, values[jnp.asarray(of_model, int)]), with_numbers(laws, numbers)
+
+
+def own_fields(laws: Laws) -> dict[str, ModelField]:
+    """The numbers of laws as fields, `effect:JOINT.EFFECT.PARAMETER`."""
+    out = {}
+    for effect in laws.model.effects:
+        for p in effect.parameters:
+            least = 0.0 if p.sign > 0 else -jnp.inf
+            for j, joint in enumerate(laws.joints):
+                name = f"effect:{joint}.{effect.name}.{p.name}"
+                value = float(laws.values.effects[effect.name][p.name][j, 0])
+                edit = Edit(f"{OF_LAWS}{effect.name}/{p.name}", (j,), 1.0)
+                out[name] = ModelField(name, value, p.unit, least, (edit,))
+    return out
+
+
+def acting_physics() -> Physics | None:
+    """What steps the model while a target is traced; None: MJX."""
+    return _ACTING[-1] if _ACTING else None
 
 
 def number_of(given: Any, what: str) -> jax.Array:
@@ -181,7 +243,7 @@ _ACTING: list[Physics] = []  # what steps the model while a target is traced; em
 
 
 @contextlib.contextmanager
-def _physics(physics: Physics | None, name: str) -> Iterator[None]:
+def stepping_by(physics: Physics | None, name: str) -> Iterator[None]:
     """Within it environments step by `physics`: ours ask `advance`, Playground's a function of its
     module, others `mjx.step`.
 

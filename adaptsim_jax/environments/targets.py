@@ -41,12 +41,15 @@ INTEGRATORS = {
 
 
 class Target(NamedTuple):
-    """values `[F]` of all fields, those of Omega first; the engine's name, integrator and steps."""
+    """values `[F]` of all fields, those of Omega first; the engine's name, integrator and steps;
+    the `model.toml` that it has, or none.
+    """
 
     values: np.ndarray
     engine: str
     integrator: str
     steps: int
+    model: str = ""
 
 
 def hidden_fields(
@@ -62,7 +65,7 @@ def hidden_fields(
                 f"targets.{target}: is no table; write [targets.{target}] and a line for each field"
             )
         for name in table:
-            if name not in ENGINE and name not in {f.name for f in omega}:
+            if name not in (*ENGINE, "model") and name not in {f.name for f in omega}:
                 names.setdefault(name, target)
     return tuple(field_of(model, name, f"targets.{target}") for name, target in names.items())
 
@@ -88,7 +91,11 @@ def target_of(
             f"targets.{name}: steps = {brief(options['steps'])}; give a whole number of 1 or more"
         )
     return Target(
-        values, engine if compiled else "simulator", options["integrator"], options["steps"]
+        values,
+        engine if compiled else "simulator",
+        options["integrator"],
+        options["steps"],
+        str(table.get("model", "")),
     )
 
 
@@ -115,6 +122,7 @@ def native_physics(
     them.
     """
     c = copy.deepcopy(model)
+    c.actuator_delay[:] = 0.0  # a law of the environment's, since states have no past here
     edit_native(c, fields, target.values)
     c.opt.timestep = model.opt.timestep / target.steps
     c.opt.integrator = INTEGRATORS[target.integrator]

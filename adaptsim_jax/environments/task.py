@@ -125,6 +125,7 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         space=space,
         targets=_wider(space, setting.fields, config.wide),
         obs_dim=config.components,
+        first=_first(setting),
         settings={name: _of_omega(space, target) for name, target in setting.targets.items()},
         init_policy=lambda key: policy_of(jnp.full(space.dim, 0.5)),
         train=_training(setting, prepared.learned),
@@ -139,6 +140,18 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         act=None if config.policy == "planned" else act,
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
     )
+
+
+def _first(setting: Setting) -> np.ndarray | None:
+    """E's first mean [D] (unit coordinates); what the config does not name is in the middle."""
+    given, space = setting.config.start, setting.space
+    if not given:
+        return None
+    for name in given:
+        configs.pick("start", name, space.names)
+    middle = np.asarray(space.physical(jnp.full(space.dim, 0.5)))
+    values = [given.get(n, float(m)) for n, m in zip(space.names, middle, strict=True)]
+    return np.clip(np.asarray(space.unit(jnp.asarray(values, jnp.float32))), 0.0, 1.0)
 
 
 def _training(setting: Setting, learned: Any) -> Callable:
@@ -267,13 +280,13 @@ def play_in(setting: Setting, target: Target) -> tuple[Play, jax.Array]:
     held = [i for i, f in enumerate(setting.fields) if i < D or target.values[i] != f.nominal]
     fields, values = tuple(setting.fields[i] for i in held), target.values[held]
     longest, given = longest_delay(fields, values), jnp.asarray(values, jnp.float32)
+    env = mended(setting.env, target.model) if target.model else setting.env
+    sim = environment(env, fields, setting.config.length)
     if target.engine == "simulator":
-        return make_play(
-            environment(setting.env, fields, setting.config.length), fields, longest
-        ), given
-    assert setting.sim.native is not None
-    physics = native_physics(setting.sim.native, fields, target._replace(values=values))
-    return make_play(setting.sim, fields, longest, physics), given
+        return make_play(sim, fields, longest), given
+    assert sim.native is not None
+    physics = native_physics(sim.native, fields, target._replace(values=values))
+    return make_play(sim, fields, longest, physics), given
 
 
 def longest_delay(fields: Sequence[ModelField], *values: np.ndarray) -> float:
@@ -308,12 +321,12 @@ def in_file(setting: Setting, prepared: Prepared, path: Path) -> Task:
     """The task with its rollouts in the target that a TOML file says, called by its name: a table
     of fields as [targets.NAME] has it, or a `model.toml` of `adaptsim diagnose`.
     """
-    table, env = configs.read(path), setting.env
+    table = configs.read(path)
     if "schema" in table:
-        table, env = {}, mended(env, path)
-    config = replace(setting.config, targets={path.stem: table.get("params", table)})
+        table = {"model": str(path)}
+    config = replace(setting.config, model="", targets={path.stem: table.get("params", table)})
     try:
-        return in_target(setting_of(env, config), prepared, path.stem)
+        return in_target(setting_of(setting.env, config), prepared, path.stem)
     except BadInput as error:
         raise BadInput(f"{path}: {str(error).removeprefix(f'targets.{path.stem}: ')}") from None
 

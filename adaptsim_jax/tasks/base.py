@@ -95,6 +95,8 @@ class Task:
     # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is
     # chosen by smoothed returns
     doubt: float = 0.0
+    # E's first mean [D] (unit coordinates) in the first start of an adaptation; None: drawn
+    first: Array | None = None
     # what is learned before all else, and is the same for all that Phase 1 and 2 do; None where
     # nothing is
     preparation: Preparation | None = None

@@ -16,7 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import play_in, task_of
 from tests.environments.small import make
-from tests.environments.test_mended import effect, written
+from tests.environments.test_mended import NUMBERS, written
 
 SAME = {"integrator": "Euler", "steps": 1}
 TARGETS = {
@@ -209,11 +209,11 @@ def test_a_file_says_a_target_by_any_field_or_by_a_mended_model(tmp_path):
     setting = setting_of(make(), EnvironmentConfig())
     task = task_of(setting)
     task = task.preparation.ready(task.preparation.blank(jax.random.key(1)))
-    mended = written(tmp_path, effect("coulomb", 0.3, "level") + effect("delay", 0.03, "delay"))
+    mended = written(tmp_path, NUMBERS)
     named = tmp_path / "rail.toml"
     named.write_text(
         '"body:cart.mass" = 1.2\n"joint:slide.damping" = 0.7\n"joint:slide.armature" = 0.05\n'
-        '"joint:slide.frictionloss" = 0.3\ndelay = 0.03\n'
+        '"joint:slide.frictionloss" = 0.3\n'
     )
     other = tmp_path / "nominal.toml"
     other.write_text("[params]\n")

@@ -1,0 +1,42 @@
+"""What `adaptsim close` shows: returns before and after, as a table and on a page."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from adaptsim_jax.report.explore import filled
+from adaptsim_jax.report.figures import distinct, label
+
+
+def cells(found: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """By target and method `(simulator, return)`: mean over seeds, with the range of them."""
+    rows = found["rows"]
+    out = []
+    for target in distinct(rows, "target"):
+        for method in distinct(rows, "method"):
+            some = [r for r in rows if r["target"] == target and r["method"] == method]
+            out.append((target, label(method), [(r["simulator"], _written(r)) for r in some]))
+    return out
+
+
+def _written(row: Mapping[str, Any]) -> str:
+    low, high = min(row["returns"]), max(row["returns"])
+    if len(row["returns"]) == 1:
+        return f"{row['mean']:.4g}"
+    return f"{row['mean']:.4g} ({low:.4g} to {high:.4g})"
+
+
+def table(found: Mapping[str, Any]) -> str:
+    """For a terminal: what was found, then a line for each target, method and simulator."""
+    lines = [found["diagnosis"]["message"], ""]
+    lines.append(f"returns after at most {found['trials']} target trials, mean over seeds (range):")
+    for target, method, each in cells(found):
+        shown = ", ".join(f"{simulator} {value}" for simulator, value in each)
+        lines.append(f"  {target}, {method}: {shown}")
+    if not found["found"]:
+        lines.append("Nothing was found, so that both simulators are one.")
+    return "\n".join(lines)
+
+
+def page(found: Mapping[str, Any]) -> str:
+    """The page as text."""
+    return filled("closed.html.j2", found=found, cells=cells(found))
