@@ -60,6 +60,7 @@ def test_every_command_takes_a_seed():
         "train": ["pendulum", "--run", "r"],
         "adapt": ["r", "--target", "wd"],
         "compare": ["pendulum", "--out", "o"],
+        "close": ["logs", "env.toml", "--out", "o"],
         "init": ["d"],
         "diagnose": ["d", "--out", "o"],
         "robot": ["next", "--dir", "d"],
