@@ -77,7 +77,7 @@ class Machine:
             horizon: length of a stretch, s; most: stretches at most.
             look_back: s from each stretch's start whose readings do not count.
         """
-        return prepare(
+        made = prepare(
             self.tree,
             self.tracks,
             effects,
@@ -89,6 +89,9 @@ class Machine:
             look_back,
             self.ties,
         )
+        meta, names = self.log.meta, made.joint_names
+        least = np.concatenate([meta.least_noise(stem, names) for stem in ("q", "v")])
+        return replace(made, floor=np.maximum(made.floor, least))
 
     def without(self, names: Sequence[str]) -> "Machine":
         """Without these trials. Raises BadInput where one is not there, or none is left."""

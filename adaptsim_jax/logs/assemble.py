@@ -356,6 +356,7 @@ def _check_meta_names(names: ModelNames, raw: list[RawTrial], meta: LogMeta) -> 
     every = (*quantities, *stems, *sorted(words))
     what = "no column, joint or quantity of the data"
     _check_named(meta, "[units]", meta.units, every, what)
+    _check_named(meta, "[noise]", meta.noise, every, what)
 
 
 def _words(name: str, names: ModelNames) -> tuple[str, ...]:

@@ -41,11 +41,6 @@ def known(
     """The table [name] (none: all of the file), of which every key is one of `keys`."""
     for key in table:
         if key not in keys:
-            if key == "noise" and not name:
-                raise BadInput(
-                    f"{path}: [noise] is not used: the noise of readings is estimated from their "
-                    "rows; take the table out"
-                )
             where = f" in [{name}]" if name else ""
             raise BadInput(f"{path}: unknown key {key!r}{where}; {suggest(key, keys)}")
     return table

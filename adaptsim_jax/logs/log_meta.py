@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
+import numpy as np
+
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
@@ -28,6 +30,7 @@ TABLES = (
     "commands",
     "known",
     "fit",
+    "noise",
     "trials",
     "ros",
 )
@@ -85,6 +88,8 @@ class LogMeta:
     - `zero`: Joint or column -> what the log shows (rad or m) where the model's joint is at 0.
     - `reversed`: Joints that the log counts the other way round.
     - `known`, `fit`: As written, names of the MJCF.
+    - `noise`: Column, joint, stem (`q`, `v`) or quantity -> standard deviation in SI units: the
+      least that readings count as.
     - `exclude`: Trials left out.
     - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
     - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
@@ -112,6 +117,7 @@ class LogMeta:
     reversed: tuple[str, ...] = ()
     known: Mapping[str, Any] = field(default_factory=dict)
     fit: Mapping[str, Any] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
     group: Mapping[str, str] = field(default_factory=dict)
     payload: Mapping[str, float] = field(default_factory=dict)
@@ -125,6 +131,14 @@ class LogMeta:
     commands: Mapping[str, str] = field(default_factory=dict)
     channels: Mapping[str, str] = field(default_factory=dict)
     rig: Rig | None = None
+
+    def least_noise(self, stem: str, joints: Sequence[str]) -> np.ndarray:
+        """Declared standard deviations [n] of readings of a stem (`q`, `v`); 0: none is."""
+        quantity, out = {"q": "angle", "v": "velocity"}[stem], np.zeros(len(joints))
+        for j, name in enumerate(joints):
+            keys = (quantity, stem, f"{stem}{j + 1}", name if stem == "q" else "", f"{stem}_{name}")
+            out[j] = next((self.noise[k] for k in reversed(keys) if k in self.noise), 0.0)
+        return out
 
 
 def read_log_meta(path: str | Path) -> LogMeta:
@@ -166,6 +180,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
         reversed=_texts(path, "angles.reversed", angles.get("reversed", [])),
         known=table["known"],
         fit=table["fit"],
+        noise={key: not_negative(path, f"noise.{key}", std) for key, std in table["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
         group=_groups(path, trials.get("group", {})),
         payload=_payloads(path, trials.get("payload", {})),

@@ -26,6 +26,7 @@ from adaptsim_jax.logs.declared import (
     TEXT_KEYS,
     choice,
     known,
+    not_negative,
     number,
     tables,
 )
@@ -48,7 +49,7 @@ REQUIRED = {
     "model": '"rigid_body" or "linearized"',
     "angle_zero": '"hanging" or "upright"',
 }
-TABLES = ("geometry", "known", "units")
+TABLES = ("geometry", "known", "noise", "units")
 KEYS = (*REQUIRED, *TABLES, "model_file", "torque", "unactuated", *TEXT_KEYS)
 
 
@@ -172,7 +173,9 @@ def read_pendulum_meta(path: str | Path) -> tuple[LogMeta, tuple[str, ...]]:
     )
     units = known(path, table["units"], ("time", *GROUPS.values(), *GROUPS, *CHANNELS), "units")
     units = {key: check_unit(path, key, value) for key, value in units.items()}
-    return LogMeta(path=str(path), units=units, rig=rig), notes
+    noise = known(path, table["noise"], (*GROUPS.values(), *GROUPS, *CHANNELS), "noise")
+    noise = {key: not_negative(path, f"noise.{key}", std) for key, std in noise.items()}
+    return LogMeta(path=str(path), units=units, noise=noise, rig=rig), notes
 
 
 def check_known(path: str, given: dict[str, float], names: Sequence[str]) -> None:

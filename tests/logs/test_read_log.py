@@ -335,7 +335,7 @@ def test_data_may_lie_elsewhere(tmp_path):
         ('[columns]\nq1 = "tau1"\nq2 = "tau1"', "gives column 'tau1' to q1, q2"),
         ('[trials]\nexclude = ["nope"]', "trials.exclude names 'nope', no trial"),
         ('[trials]\nexclude = ["t"]', "leaves no trial"),
-        ("[noise]\nq = 1e-4", "[noise] is not used: the noise of readings is estimated"),
+        ("[noise]\nelbowww = 1e-4", "[noise] names 'elbowww', no column, joint or quantity"),
         ('input = "current"', 'has no column for input = "current"'),
     ],
 )

@@ -135,7 +135,7 @@ def test_linearized_model_has_default_geometry_and_a_mended_model_is_a_path(tmp_
 
 
 META_FAULTS = [
-    (META + "[noise]\nq = 0.001\n", "[noise] is not used"),
+    (META + "[noise]\nq3 = 0.001\n", "unknown key 'q3' in [noise]"),
     (META.replace("angle_zero", "angel_zero"), "did you mean 'angle_zero'"),
     (META.replace('task = "pendulum"\n', ""), "'task' is missing"),
     (META.replace('model = "rigid_body"\n', ""), "'model' is missing"),

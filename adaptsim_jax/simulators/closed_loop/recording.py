@@ -37,7 +37,8 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     pieces = pieces_of(trials)
     if len(pieces) < 3:
         return None
-    noise = encoder_noise(trials)
+    declared = log.meta.least_noise("q", log.joint_names)[[s.joint for s in servos]]
+    noise = np.maximum(encoder_noise(trials), declared)
     inertia = _inertia(model, servos, trials)
     step = float(model.opt.timestep)
     if _fast(servos, inertia, step):
