@@ -44,6 +44,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     retained, held = _moving(path, trials, names, meta)
     inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in retained])
     log_trials = tuple(_trial(columns, names, meta, inputs, retained) for columns in trials)
+    _check_clocks(raw, log_trials)
     log_trials, paused = _unpaused(log_trials)
     log_trials, evened = _evened(log_trials)
     headed = tuple(dict.fromkeys(note for columns in trials for note in columns.notes))
@@ -436,6 +437,23 @@ def _unpaused(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple
             f"{len(parts)} trial(s), {trial.name}_1 to {trial.name}_{len(parts)}"
         )
     return tuple(out), tuple(notes)
+
+
+TIME_PARTS = 64.0  # smallest parts of a number of a clock's size, that rows are apart at least
+
+
+def _check_clocks(raw: Sequence[RawTrial], trials: Sequence[LogTrial]) -> None:
+    """BadInput at a time that is so far off that those of other rows are one time beside it."""
+    for source, trial in zip(raw, trials, strict=True):
+        steps = np.diff(trial.time)
+        if np.all(steps > TIME_PARTS * np.spacing(np.max(np.abs(trial.time)))):
+            continue
+        row = int(np.argmax(np.abs(steps)))
+        raise BadInput(
+            f"{source.path}: {source.row_word} {source.lines[row]}: its time is "
+            f"{abs(steps[row]):.3g} s from that of the next row, so far that other rows have one "
+            "time; mend or take out that row"
+        )
 
 
 def _evened(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[str, ...]]:

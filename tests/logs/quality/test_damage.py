@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from adaptsim_jax.core.errors import BadInput
@@ -125,6 +125,10 @@ def test_damaged_bytes_of_an_npz(folder, edits):
     cell=st.one_of(st.sampled_from(CELLS), st.floats().map(repr), st.text(max_size=5)),
     deal=st.sampled_from(["cell", "drop", "repeat", "swap"]),
 )
+@example(row=1, column=0, cell="-140737488355328.0", deal="cell")
+@example(row=1, column=0, cell="-70368744177664.0", deal="cell")
+@example(row=1, column=0, cell="-35184372088832.0", deal="cell")
+@example(row=60, column=0, cell="140737488355328.0", deal="cell")
 def test_damaged_rows(folder, row, column, cell, deal):
     lines = CSV.decode().splitlines()
     cells = lines[row].split(",")
