@@ -98,7 +98,7 @@ def hinge_log(folder, kp, kv, friction=0.0, limit="", late=0):
     return folder
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.1])
+@pytest.mark.parametrize("friction", [pytest.param(0.0, marks=pytest.mark.long), 0.1])
 def test_friction_of_a_servo_whose_gains_are_the_files(friction, tmp_path):
     report = diagnose(hinge_log(tmp_path / "servo", 30.0, 2.0, friction))
     assert [e["name"] for e in report["effects"]] == (["coulomb"] if friction else [])
@@ -107,11 +107,13 @@ def test_friction_of_a_servo_whose_gains_are_the_files(friction, tmp_path):
         assert level == pytest.approx(friction, rel=0.1)
 
 
+@pytest.mark.long
 def test_what_is_excluded_is_not_named(tmp_path):
     report = diagnose(hinge_log(tmp_path / "servo", 30.0, 2.0, 0.1), exclude=("coulomb at hinge",))
     assert "coulomb" not in [e["name"] for e in report["effects"]]
 
 
+@pytest.mark.long
 def test_a_late_command_of_a_stiff_servo_that_is_often_at_its_limit(tmp_path):
     report = diagnose(hinge_log(tmp_path / "servo", 300.0, 8.0, 0.0, 'forcerange="-4 4"', late=2))
     (row,) = report["effects"]
