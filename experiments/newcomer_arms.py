@@ -7,7 +7,7 @@ ROBOTS: a folder of MJCF files. Four trials of 12 s and one more in `val`: targe
 in steps of 1 mrad, at rest half of the time. kp is 0.7 and kv 0.4 of the file's, dry friction is
 added at the third joint, a mass 8 cm outward of the last body's centre. MuJoCo steps the truth
 every 0.2 ms. A line of JSON an arm: what was named, what of it is wrong or missing, and what
-`declared.xml` and `model.xml` leave of the whole trial in `val`, by joint.
+`declared.xml`, `model.xml` and no model at all leave of the whole trial in `val`, by joint.
 """
 
 import argparse
@@ -21,7 +21,7 @@ import numpy as np
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import read_source
-from adaptsim_jax.simulators.closed_loop.imposed import heavier
+from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
 from adaptsim_jax.simulators.closed_loop.law import with_model
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
@@ -88,13 +88,28 @@ def written(folder: Path, path: Path, arm: str, seed: int) -> dict:
     return {"laws": [law._asdict() for law in laws], "names": names, "file": file}
 
 
-def left_of(model: Path, data: Path) -> np.ndarray:
-    """RMS errors [n] rad of the whole trials of a folder by a model file."""
-    log = read_source_and_log(data, None)[1]
-    recording = recording_of(read_source(model), log)
-    assert recording is not None
+def recorded_in(model: Path, data: Path) -> Recording:
+    """The whole trials of a folder as a model file simulates them."""
+    made = recording_of(read_source(model), read_source_and_log(data, None)[1])
+    assert made is not None
+    return made
+
+
+def left_of(recording: Recording) -> np.ndarray:
+    """RMS errors [n] rad of whole trials."""
     (path,) = simulated(recording, [[s.law for s in recording.servos]])
     return np.sqrt(np.square(trial_errors(recording, path)).mean(0))
+
+
+def without_a_model(recording: Recording) -> dict[str, np.ndarray]:
+    """RMS errors [n] rad of a straight line through each whole trial, and of holding still."""
+    line, still = [], []
+    for t in recording.trials:
+        fit = np.polynomial.polynomial.polyfit(t.time, t.q, 1)
+        line.append(t.q - np.polynomial.polynomial.polyval(t.time, fit).T)
+        still.append(t.q - t.q.mean(0))
+    both = {"straight line": line, "holding still": still}
+    return {k: np.sqrt(np.square(np.concatenate(z)).mean(0)) for k, z in both.items()}
 
 
 def main() -> None:
@@ -114,18 +129,15 @@ def main() -> None:
         seconds = round(time.monotonic() - began)
         rows = {(e["name"], e["where"]): e["parameters"] for e in report["effects"]}
         found = judged(report, true, World(arm, RATE, "holds", GAINS))
-        files = [out / name for name in ("declared.xml", "model.xml")]
-        left = [left_of(file, folder / "val") for file in files]
+        val = [recorded_in(out / f"{name}.xml", folder / "val") for name in ("declared", "model")]
+        left = without_a_model(val[0]) | {"file": left_of(val[0]), "model": left_of(val[1])}
         numbers = {
             f"{name} at {where}": {k: [v["low"], v["value"], v["high"]] for k, v in row.items()}
             for (name, where), row in rows.items()
             if name != "position_gain"
         }
-        val = {
-            k: [round(1e3 * float(z), 3) for z in e]
-            for k, e in zip(("file", "model"), left, strict=True)
-        }
-        line = {"arm": arm, **found, "numbers": numbers, "val_mrad": val, "seconds": seconds}
+        mrad = {k: [round(1e3 * float(z), 3) for z in e] for k, e in left.items()}
+        line = {"arm": arm, **found, "numbers": numbers, "val_mrad": mrad, "seconds": seconds}
         print(json.dumps(line, default=float), flush=True)
 
 

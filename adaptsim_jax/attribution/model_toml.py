@@ -42,7 +42,6 @@ from adaptsim_jax.mend.model_toml import (
 DECLARED = "declared.xml"
 GIVES = "gives"
 OWN = ("friction", "inertial", "gain", "servo", "lift")
-OF_SERVOS = ("kp", "kv", "limit", "offset")
 
 
 def text_of(

@@ -7,7 +7,7 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE
 from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.core.progress import Note
-from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest
+from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest, write_partial
 
 
 def answered(
@@ -19,7 +19,12 @@ def answered(
     if setting.objective not in (None, WHOLE) or setting.effects is not None:
         return None
     few = setting.criteria.torque.simulated
-    found = closed_loop.diagnosed(machine, setting.exclude, few, notify)
+
+    def keep(found: closed_loop.ServoDiagnosis) -> None:
+        if asked.folder is not None:
+            write_partial(asked.folder, lambda: closed_loop.report_on(found))
+
+    found = closed_loop.diagnosed(machine, setting.exclude, few, notify, keep)
     if found is None:
         return None
     report, evidence = closed_loop.reported(found)

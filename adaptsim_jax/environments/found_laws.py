@@ -97,7 +97,7 @@ def of_joints(one: Machine) -> dict[str, np.ndarray]:
     """What MJX's joints have [n]; of those whose drive gives, what is left to the link."""
     columns, n = columns_of(one), one.tree.n
 
-    def of(effect, name):
+    def of(effect: Effect, name: str) -> np.ndarray:
         return np.asarray(columns.get((effect.name, name), np.zeros(n)))
 
     stiffness, rigid = of(SPRING, "stiffness"), ~giving_joints(columns, n)

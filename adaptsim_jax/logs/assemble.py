@@ -478,8 +478,8 @@ def _filled(trials: tuple[LogTrial, ...]) -> tuple[tuple[LogTrial, ...], tuple[s
     """The trials with empty rows where rows are missing that even stamps deny, and a note on it.
     What acts there is straight between its rows.
     """
-    beside = [t.u if t.v is None else np.concatenate([t.u, t.v], 1) for t in trials]
-    found = holes([(t.time, t.q, x) for t, x in zip(trials, beside, strict=True)])
+    inputs = [t.u if t.v is None else np.concatenate([t.u, t.v], 1) for t in trials]
+    found = holes([(t.time, t.q, x) for t, x in zip(trials, inputs, strict=True)])
     if found is None:
         return trials, ()
     first = next(k for k, missing in enumerate(found) if missing.any())

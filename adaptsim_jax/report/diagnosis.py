@@ -84,6 +84,7 @@ def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None
         "measures": report.get("yardsticks") or {},
         "measure_names": rows_of.NAMES,
         "judged": rows_of.why_judge(report),
+        "as_filed": (report.get("yardsticks") or {}).get("as_filed", False),
         "torque_figures": figures.torque_figures(evidence),
         "friction_figures": figures.friction_figures(evidence),
         "effects": rows_of.effect_rows(report),

@@ -91,7 +91,9 @@ LEVEL_TWICE = pytest.param(
     SHARP,
     0.2,
     False,
-    marks=pytest.mark.xfail(reason="sharp friction of twice the file's level is taken for soft"),
+    marks=pytest.mark.xfail(
+        strict=True, reason="sharp friction of twice the file's level is taken for soft"
+    ),
 )
 
 

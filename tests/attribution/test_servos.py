@@ -1,13 +1,16 @@
 """What `diagnose` says of a stiff arm of position servos, and of two arms on one base."""
 
+import json
+
 import mujoco
 import numpy as np
 import pytest
 
 from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.simulators.closed_loop import identified
 from tests.attribution.servo_logs import servo_log
 
-KP, KV, STEP = 2000.0, 60.0, 5e-4
+KP, KV, STEP = 2000.0, 200.0, 5e-4
 JOINTS = ("turn", "lift", "elbow")
 SERVOS = "".join(f'<position name="{j}" joint="{j}" kp="{KP}" kv="{KV}"/>' for j in JOINTS)
 ARM = f"""<mujoco><compiler angle="radian"/><option timestep="{STEP}" integrator="implicitfast"/><worldbody><body>
@@ -48,10 +51,11 @@ def test_nothing_is_added_to_a_file_that_is_right(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.xfail(strict=True, reason="a rotor of less than damping times a step has no name")
 def test_a_rotor_that_is_not_the_files_is_named(tmp_path):
-    (row,) = diagnose(arm_log(tmp_path / "rotor", rotor=0.22))["effects"]
+    (row,) = diagnose(arm_log(tmp_path / "rotor", rotor=0.16))["effects"]
     assert (row["name"], row["where"]) == ("armature", "elbow")
-    assert row["parameters"]["inertia"]["value"] == pytest.approx(0.22, rel=0.1)
+    assert row["parameters"]["inertia"]["value"] == pytest.approx(0.16, abs=0.004)
 
 
 @pytest.mark.long
@@ -119,3 +123,15 @@ def test_a_late_command_of_a_stiff_servo_that_is_often_at_its_limit(tmp_path):
     (row,) = report["effects"]
     assert row["name"] == "delay"
     assert row["parameters"]["delay"]["value"] == pytest.approx(0.04, abs=0.001)
+
+
+@pytest.mark.long
+def test_a_late_failure_leaves_what_was_found(tmp_path, monkeypatch):
+    def fails(*_):
+        raise RuntimeError("late")
+
+    monkeypatch.setattr(identified, "left_out_errors", fails)
+    with pytest.raises(RuntimeError, match="late"):
+        diagnose(hinge_log(tmp_path / "servo", 30.0, 2.0, 0.1), out=tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["unfinished"] and [e["name"] for e in report["effects"]] == ["coulomb"]

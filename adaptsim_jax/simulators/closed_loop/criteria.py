@@ -19,8 +19,8 @@ class ClosedLoopCriteria:
     history: float = 0.3  # s of targets before a piece, and the longest delay
     smooth: float = 0.12  # s, over which imposed motion is smoothed
     moving: float = 20.0  # times its noise, by which a joint moves that is fitted
-    # rad (m): no encoder counts as better, since whole trials are simulated no nearer than this
-    min_noise: float = 2e-4
+    # rad (m): no encoder counts as better, since how trials are stepped leaves a part of this
+    min_noise: float = 1e-4
     rough: float = 2.0  # of the step, by which derivatives of whole trials are simulated
     batch: int = 16  # parameter sets of a call
     # rows' worth of a pull to the file's scale: only ratios show where damping is heavy

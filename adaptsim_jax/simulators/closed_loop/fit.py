@@ -348,21 +348,18 @@ def preferred(
     """Whether left-out pieces are predicted better by the other, by `gain` and beyond chance."""
     before, after = (left_out(problem, fit).sums for fit in (one, other))
     found = gains(problem, before, after)
-    over = (np.sqrt(sums / problem.rows) / problem.noise for sums in (before, after))
-    return bool(found.mean() > gain and chance(found, *over) < CLOSED_LOOP.level)
+    over = [np.sqrt(sums / problem.rows) / problem.noise for sums in (before, after)]
+    shown = paired_t(found) < CLOSED_LOOP.level or explains(*over)
+    return bool(found.mean() > gain and shown)
 
 
-def chance(differences: np.ndarray, before: np.ndarray, after: np.ndarray) -> float:
-    """p of the paired test; 0 where several pieces [P] come from far beyond the noise to it and
-    none is left further beyond it: what acts now and then (a limit) helps few pieces, and these
-    wholly.
+def explains(before: np.ndarray, after: np.ndarray) -> bool:
+    """Whether several pieces come from far beyond the noise to it, and none is left further beyond
+    it: what acts now and then (a limit) helps few pieces, and these wholly.
 
     Args:
-        differences: Of the paired test.
         before, after: [P] errors over the noise.
     """
     helped = (before > CLOSED_LOOP.far) & (after < CLOSED_LOOP.enough)
     harmed = after > np.maximum(CLOSED_LOOP.enough, CLOSED_LOOP.shown * before)
-    if helped.sum() >= CLOSED_LOOP.helped and not harmed.any():
-        return 0.0
-    return paired_t(differences)
+    return bool(helped.sum() >= CLOSED_LOOP.helped and not harmed.any())

@@ -28,6 +28,7 @@ from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
+    Better,
     Coordinate,
     FittedServos,
     Polished,
@@ -64,17 +65,13 @@ class LawMember:
 
     Args:
         coordinates: (joint, name) that go together; joint -1: of all.
-        gain: Share of the squared error that it takes off (log) at its joints.
-        p: Of the paired test over pieces.
-        better: Pieces that are simulated better with it.
+        test: How whole trials are better with it.
         without: What is left without it, times the noise, at the joint where that is most.
         change: Of the file's number, as a logarithm, where it is one of the law.
     """
 
     coordinates: tuple[Coordinate, ...]
-    gain: float
-    p: float
-    better: int
+    test: Better
     without: float
     change: float
 
@@ -83,7 +80,8 @@ class LawMember:
         """Whether whole trials do as well without it, or lack nothing without it."""
         joint = self.coordinates[0][0]
         threshold = CLOSED_LOOP.shared_gain if joint == SHARED_BY_ALL else CLOSED_LOOP.gain
-        shown = self.gain > threshold and self.p < CLOSED_LOOP.level
+        beyond_chance = self.test.p < CLOSED_LOOP.level or self.test.explains
+        shown = self.test.gain > threshold and beyond_chance
         lacking = self.without > CLOSED_LOOP.shown
         return not (shown and lacking and self.change > CLOSED_LOOP.min_change)
 
@@ -157,10 +155,17 @@ def scale_spread(found: ServoLaws) -> np.ndarray:
 
 
 def identified(
-    recording: Recording, notify: Callable[[str], None] = lambda note: None
+    recording: Recording,
+    notify: Callable[[str], None] = lambda note: None,
+    keep: Callable[[ServoLaws], None] = lambda found: None,
 ) -> ServoLaws:
     """The servos' laws that a recording shows: the file's where nothing is lacking, one number that
     all servos share where that explains all, else laws of joints, held against whole trials.
+
+    Args:
+        notify: Called with what is done.
+        keep: Called with what has been found so far, its errors those of the trials that were
+            fitted.
     """
     notify("whole trials by the file")
     file = [s.law for s in recording.servos]
@@ -177,10 +182,15 @@ def identified(
         model = _joint_by_joint(whole, file, live, notify)
         found, instead = _of_whole_trials(whole, model, file, notify)
         file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
-    found, members = _borne_out(whole, found, file, notify)
+
+    def seen(model: Polished, members: Sequence[LawMember]) -> None:
+        stay = tuple(m for m in members if not m.refuted)
+        keep(ServoLaws(recording, model, stay, before, model.errors, whole, instead))
+
+    found, members = _borne_out(whole, found, file, notify, seen)
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
-        found, members = _borne_out(whole, found, file, notify)
+        found, members = _borne_out(whole, found, file, notify, seen)
     found = polished(whole, found.model)
     after = left_out_errors(whole, found)
     return ServoLaws(recording, found, members, before, after, whole, instead)
@@ -349,18 +359,25 @@ def _likely_own(problem: JointProblem, fit: LawFit, names: Sequence[str]) -> lis
 
 
 def _borne_out(
-    whole: WholeTrials, found: Polished, file: Sequence[ServoLaw], notify: Callable[[str], None]
+    whole: WholeTrials,
+    found: Polished,
+    file: Sequence[ServoLaw],
+    notify: Callable[[str], None],
+    seen: Callable[[Polished, Sequence[LawMember]], None],
 ) -> tuple[Polished, tuple[LawMember, ...]]:
-    """Without what whole trials do not bear out beside all else, and what stays."""
+    """Without what whole trials do not bear out beside all else, and what stays. seen: called with
+    each model and its members.
+    """
     while True:
         notify("whole trials, each number returned to the file's")
         members = _members(whole, found, file)
+        seen(found, members)
         gone = [m for m in members if m.refuted]
         if not gone:
             return found, tuple(members)
         shared = [m for m in gone if m.coordinates[0][0] == SHARED_BY_ALL]
         if shared:  # one at a time: each may take up what another leaves
-            gone = [min(shared, key=lambda m: m.gain)]
+            gone = [min(shared, key=lambda m: m.test.gain)]
         else:
             gone = _weakest_by_joint(gone)
         coordinates = [c for m in gone for c in m.coordinates]
@@ -388,7 +405,7 @@ def _weakest_by_joint(gone: Sequence[LawMember]) -> list[LawMember]:
     best: dict[int, LawMember] = {}
     for m in gone:
         joint = m.coordinates[0][0]
-        if joint not in best or m.gain < best[joint].gain:
+        if joint not in best or m.test.gain < best[joint].test.gain:
             best[joint] = m
     return list(best.values())
 
@@ -407,7 +424,7 @@ def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> l
         change = max(
             _change(found.model.fits[j].law, file[j], n, whole.problems[j]) for j, n in coordinates
         )
-        out.append(LawMember(coordinates, *tested, float(over), change))
+        out.append(LawMember(coordinates, tested, float(over), change))
     return out
 
 

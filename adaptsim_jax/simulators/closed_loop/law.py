@@ -71,20 +71,6 @@ SCALED = ("kp", "damping", "rub", "limit")
 """Numbers that the coordinate `scale` multiplies."""
 SHARED = ("delay", "lag", "payload", "lift", "rotor")
 """Numbers that all joints may share."""
-UNITS = {
-    "kp": "N m/rad",
-    "damping": "N m s/rad",
-    "rub": "N m",
-    "limit": "N m",
-    "delay": "s",
-    "lag": "s",
-    "rotor": "kg m^2",
-    "payload": "kg",
-    "lift": "1",
-    "offset": "rad",
-    "spring": "N m/rad",
-    "zero": "rad",
-}
 
 
 @dataclass(frozen=True)

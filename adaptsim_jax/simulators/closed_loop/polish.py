@@ -5,11 +5,19 @@ out there returned to the file's.
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.closed_loop.fit import LawFit, chance, prior_of, pulled, solved
+from adaptsim_jax.simulators.closed_loop.fit import (
+    LawFit,
+    explains,
+    paired_t,
+    prior_of,
+    pulled,
+    solved,
+)
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
 from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
@@ -301,12 +309,29 @@ def over_noise(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
     return np.sqrt(np.square(error[whole.counted]).mean(0)) / noise
 
 
+class Better(NamedTuple):
+    """What one model of whole trials does better than another at some joints.
+
+    Args:
+        gain: Logarithm of the squared errors' quotient, at most 1 of a piece and joint, summed over
+            joints, mean over pieces.
+        share: Of the squared error, noise being one everywhere, that is taken off.
+        p: Of the paired t-test over pieces.
+        pieces: That are better.
+        explains: Whether it explains pieces wholly (`fit.explains`).
+    """
+
+    gain: float
+    share: float
+    p: float
+    pieces: int
+    explains: bool
+
+
 def better_at(
     whole: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
-) -> tuple[float, float, int]:
-    """(share of the squared error that is taken off at joints, log, mean over pieces; its p; pieces
-    that are better).
-    """
+) -> Better:
+    """How errors [rows, n] `after` are better than `before` at some joints."""
     rows = np.bincount(whole.block[whole.block >= 0], minlength=len(whole.recording.pieces))
     noise = np.array([whole.problems[j].noise for j in joints])
     one, other = (
@@ -316,5 +341,6 @@ def better_at(
     floor = 0.05  # of the squared noise, below which nothing counts
     by_joint = np.clip(np.log((one**2 + floor) / (other**2 + floor)), -1.0, 1.0)
     total = by_joint.sum(1)
-    p = chance(total, one.max(1), other.max(1))
-    return float(total.mean()), p, int((total > 0.0).sum())
+    share = 1.0 - float(np.square(other).sum() / max(np.square(one).sum(), 1e-12))
+    shown = explains(one.max(1), other.max(1))
+    return Better(float(total.mean()), share, paired_t(total), int((total > 0.0).sum()), shown)
