@@ -67,6 +67,8 @@ class ServoLaw(NamedTuple):
     reach: Any = 0.0
 
 
+LIGHTER = 0.3  # of a joint's bodies, by which a rotor of less than nothing may make it lighter
+
 SCALED = ("kp", "damping", "rub", "limit")
 """Numbers that the coordinate `scale` multiplies."""
 SHARED = ("delay", "lag", "payload", "lift", "rotor")
@@ -386,7 +388,8 @@ def with_model(
     model.dof_damping[dof] = law.damping - inner * law.inside
     model.dof_frictionloss[dof] = law.rub
     rotor = servo.armature + law.rotor - law.damping_delay * law.damping
-    model.dof_armature[dof] = max(rotor, 0.0)
+    bodies = 0.0 if inertia is None else max(inertia - servo.armature, 0.0)
+    model.dof_armature[dof] = max(rotor, -LIGHTER * bodies)
     model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
     model.qpos_spring[servo.qpos] = servo.rest
     if law.sharp:
