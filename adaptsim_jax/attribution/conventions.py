@@ -71,7 +71,9 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     program = _program(tree.n)
     if log.input_kind == "command" and not machine.mechanism.drives_beyond:
         design = _design(tree, program)
-        check_order(log.path, partial(_tracks, machine), design, tree.joint_names, tree.parent)
+        driven = [bool(gain) for gain in machine.actuator[0]]
+        orders = partial(_tracks, machine)
+        check_order(log.path, orders, design, tree.joint_names, tree.parent, driven)
     warnings = check_commands(machine)
     found = of_machine(machine)
     if found is None:

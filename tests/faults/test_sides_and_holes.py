@@ -3,6 +3,7 @@ dropped, pauses: told with what to write, which is then done; and nothing told o
 """
 
 import re
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_log
+from experiments import close_cartpole
 from tests.faults.servo_files import noisy, sines, swung
 from tests.faults.test_clocks_told import NAMES, recorded
 from tests.logs.arm_files import arm
@@ -126,6 +128,14 @@ def test_angles_and_targets_in_another_order_are_found_together(tmp_path, order)
     text = f'{HEAD}model = "robot.xml"\n[columns]\n' + "\n".join(lines) + "\n"
     (tmp_path / "meta.toml").write_text(text)
     assert check_conventions(load(tmp_path)) == ()
+
+
+def test_a_joint_without_a_drive_does_not_change_places_with_one_that_has(tmp_path):
+    out = [str(tmp_path / "cart"), "--seed", "3"]
+    with patch("sys.argv", ["close_cartpole.py", "--out", *out]):
+        close_cartpole.main()
+    found = check_conventions(load(tmp_path / "cart" / "logs"))
+    assert [f.kind for f in found] == ["late_motion"]  # of the motor, which is late
 
 
 def dropped(seed: int, rows: int, longest: int):

@@ -27,7 +27,10 @@ class Reordered:
 
 
 def other_order(
-    tracks: Callable[[Order], Sequence[Track]], design: Design, orders: Sequence[Order]
+    tracks: Callable[[Order], Sequence[Track]],
+    design: Design,
+    orders: Sequence[Order],
+    driven: Sequence[bool],
 ) -> Reordered | None:
     """The order of columns that the motion follows in place of the model's; None where that does,
     or where none explains it.
@@ -36,9 +39,13 @@ def other_order(
         tracks: The trials with joints from these columns, and the torques of their drives then.
         orders: Those that simulators have; exchanges of two joints are tried too, one upon the
             other.
+        driven: Of each joint, whether the model gives it a drive: only columns of such a joint
+            can have a target.
     """
 
     def left(order: Order) -> float:
+        if any(driven[j] != driven[k] for j, k in enumerate(order)):
+            return np.inf
         return unexplained(motion_of(tracks(order), sharp=True), design)
 
     own = tuple(range(len(orders[0])))
@@ -86,11 +93,14 @@ def check_order(
     design: Design,
     names: Sequence[str],
     parents: Sequence[int],
+    driven: Sequence[bool],
 ) -> None:
     """BadInput where a machine's columns, angles and targets together, are in another order than
     its joints `names`, of which each hangs at that of `parents`.
     """
-    found = other_order(tracks, design, usual_orders(parents, names)) if len(names) > 1 else None
+    if len(names) < 2:
+        return
+    found = other_order(tracks, design, usual_orders(parents, names), driven)
     if found is None:
         return
     there = ", ".join(names[j] for j in np.argsort(found.order))
