@@ -133,7 +133,7 @@ def edited_both(both: tuple[Any, Laws], fields: tuple[ModelField, ...], values: 
     numbers: dict[tuple[str, str, Any], Any] = {}
     for field_, value in zip(fields, values, strict=True):
         if field_.name == "delay" and DELAY.name in laws.values.effects:
-            numbers[DELAY.name, "delay", slice(None)] = value
+            numbers[DELAY.name, "delay", ...] = value
         for edit in field_.edits:
             if edit.array.startswith(OF_LAWS):
                 _, effect, parameter = edit.array.split("/")

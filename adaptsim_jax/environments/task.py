@@ -149,9 +149,10 @@ def _first(setting: Setting) -> np.ndarray | None:
         return None
     for name in given:
         configs.pick("start", name, space.names)
-    middle = np.asarray(space.physical(jnp.full(space.dim, 0.5)))
-    values = [given.get(n, float(m)) for n, m in zip(space.names, middle, strict=True)]
-    return np.clip(np.asarray(space.unit(jnp.asarray(values, jnp.float32))), 0.0, 1.0)
+    with jax.ensure_compile_time_eval():  # a task is made within traced programs, too
+        middle = np.asarray(space.physical(jnp.full(space.dim, 0.5)))
+        values = [given.get(n, float(m)) for n, m in zip(space.names, middle, strict=True)]
+        return np.clip(np.asarray(space.unit(jnp.asarray(values, jnp.float32))), 0.0, 1.0)
 
 
 def _training(setting: Setting, learned: Any) -> Callable:

@@ -5,6 +5,7 @@ list the names.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.core import config
@@ -41,12 +42,13 @@ TRIALS: Registry[Diagnose] = Registry(
 
 
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:
-    """The task called `name`, on a mended model where `options` hold one.
+    """The task called `name`, on a mended model where `options` hold one that is no option of the
+    task's own.
 
     BadInput names an unknown task or option, with the nearest known one.
     """
     kind = TASKS[config.pick("task", name, TASKS)]
-    if "model" in options:
+    if "model" in options and "model" not in {f.name for f in fields(kind.config)}:
         if kind.augmented is None:
             raise BadInput(
                 f"{where}: a mended model of task '{name}' is not in this version yet; leave "
