@@ -134,7 +134,11 @@ class ServoDiagnosis:
 
     def knows_scale(self, joint: int) -> bool:
         """Whether kp itself is known at a joint, and not only what is over it."""
-        return bool(self.scale_spread[joint] < CLOSED_LOOP.scale_known)
+        return bool(self.shows_gain(joint) and self.scale_spread[joint] < CLOSED_LOOP.scale_known)
+
+    def shows_gain(self, joint: int) -> bool:
+        """Whether kp shows at all at a joint, damping and limit as they are."""
+        return joint >= len(self.found.gain_shown) or self.found.gain_shown[joint]
 
 
 def diagnosed(
@@ -354,6 +358,8 @@ def _law_words(d: ServoDiagnosis, e: ServoEffect) -> str:
     s, law = d.recording.servos[e.joint], d.found.laws[e.joint]
     if s.follows_speed:
         return f"{s.name} kv {law.damping:.3g} (file {s.law.damping:.3g})"
+    if not d.shows_gain(e.joint):
+        return f"{s.name} damping {law.damping:.3g} (file {s.law.damping:.3g})"
     if not d.knows_scale(e.joint):
         ratio, file = law.damping / law.kp, s.law.damping / s.law.kp
         return f"{s.name} damping over kp {ratio:.3g} s (file {file:.3g})"
@@ -450,6 +456,9 @@ def _gains(d: ServoDiagnosis, j: int) -> dict[str, dict[str, Any]]:
     gain = _times(law.kp, ends * d.found.spread([(j, "scale")]), _unit(s, "N m/rad"))
     ratio |= {"file": s.law.damping / s.law.kp, "meaning": "damping over kp"}
     gain["meaning"] = f"the controller's stiffness; the file says {s.law.kp:.4g}"
+    if not d.shows_gain(j):
+        gain["meaning"] += ". These data do not show it: another one is simulated as well"
+        return {"kp": gain | {"file": s.law.kp}, **out}
     if not d.knows_scale(j):
         only = (
             ". Only ratios to kp are fixed by these data; its scale is that of the file's inertia"

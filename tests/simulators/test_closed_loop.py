@@ -1,5 +1,6 @@
 """Servos in closed loop: simulated joint by joint and whole, their law found, and its files."""
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,7 +17,9 @@ from adaptsim_jax.simulators.closed_loop.identified import identified
 from adaptsim_jax.simulators.closed_loop.imposed import joint_problems
 from adaptsim_jax.simulators.closed_loop.law import moved, servos_of, with_model
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
+from adaptsim_jax.simulators.closed_loop.polish import FittedServos, polished, whole_trials
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
+from adaptsim_jax.simulators.closed_loop.rivals import gain_shown
 from adaptsim_jax.simulators.closed_loop.stepping import errors
 from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
 
@@ -99,6 +102,37 @@ def test_whole_trials_and_one_joint_by_itself_simulate_the_truth_to_within_noise
     for problem, law in zip(joint_problems(made, motions, laws), laws, strict=True):
         off = errors(problem, [law])[0]
         assert np.sqrt(np.square(off).sum() / problem.rows.sum()) < 3.0 * NOISE
+
+
+def cut(joint, law):
+    """Heavily damped, and at its limit whenever it moves."""
+    return law._replace(kp=60 * law.kp, damping=16.0, limit=3.0 - 1.5 * joint, inside=0.0)
+
+
+@pytest.fixture(scope="module")
+def cut_arm(tmp_path_factory):
+    return recording(logged(tmp_path_factory.mktemp("cut") / "log", ARM, cut))
+
+
+def test_what_corrects_a_step_is_cut_by_the_limit_as_well(cut_arm):
+    laws = [cut(j, s.law) for j, s in enumerate(cut_arm.servos)]
+    for step in (1e-3, 1e-4):
+        model = copy.copy(cut_arm.model)
+        model.opt.timestep = step
+        made = replace(cut_arm, model=model)
+        off = trial_errors(made, simulated(made, [laws])[0])
+        assert np.sqrt(np.square(off).mean(0)).max() < 1.5 * NOISE
+
+
+@pytest.mark.parametrize("way, shown", [(other, True), (cut, False)])
+def test_kp_shows_unless_motion_is_at_a_limit(arm, cut_arm, way, shown):
+    made = recording(arm) if way is other else cut_arm
+    laws = [way(j, s.law) for j, s in enumerate(made.servos)]
+    problems = joint_problems(made, [imposed_motion(t) for t in made.trials], laws)
+    whole = whole_trials(made, problems)
+    fits = tuple(LawFit(law, ("scale", "damping", "rub", "limit")) for law in laws)
+    found = polished(whole, FittedServos(fits), rounds=0)
+    assert gain_shown(whole, found) == (shown, shown)
 
 
 def test_coordinates_move_the_scale_with_all_that_it_multiplies(arm):

@@ -45,6 +45,9 @@ class ClosedLoopCriteria:
     own: int = 2  # numbers of one joint beside its law, at most
     # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
     scale_known: float = 0.05
+    # times kp: a joint that is simulated alike by that shows no kp (a bar claims 15 %)
+    other_gain: float = 1.3
+    clearly: float = 0.1  # of the squared error (log), that such a kp must leave more at least
     near: float = 0.01  # m: a centre of mass that is nearer to its joint shows no way outward
     tool: float = 0.1  # m, of the same, where fits begin: most tools are that long
     reach: float = 0.5  # m, at most, from a body's centre of mass to that of what it carries

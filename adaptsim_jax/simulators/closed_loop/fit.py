@@ -305,9 +305,20 @@ def begun_at_limit(problem: JointProblem, fit: LawFit) -> LawFit:
     order = np.argsort(np.log(sums / some.rows + some.noise**2).mean(1))[:3]
     tries = [fitted(some, LawFit(laws[k], (*fit.free, "limit")), 8) for k in order]
     new = fitted(problem, min(tries, key=lambda t: score(some, left(some, t.law))))
+    rival = fitted(problem, _rub_in_limit(servo.law, new))
+    new = min((new, rival), key=lambda t: score(problem, left(problem, t.law)))
     if preferred(problem, fit, new):
         return new
     return fit
+
+
+def _rub_in_limit(file: ServoLaw, fit: LawFit) -> LawFit:
+    """The law with the file's friction, what it had beyond that taken off its limit: motion at the
+    limit in one direction shows their difference alone.
+    """
+    law = fit.law
+    limit = max(law.limit - law.rub + file.rub, 0.1 * law.limit)
+    return fit.of(law._replace(rub=file.rub, limit=limit))
 
 
 def _limited(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:

@@ -43,7 +43,9 @@ from adaptsim_jax.simulators.closed_loop.polish import (
 from adaptsim_jax.simulators.closed_loop.rivals import (
     CARRIED,
     allowed_by_all,
+    gain_shown,
     one_shared,
+    or_files_gain,
     or_heavier,
     or_other_friction,
     or_rival,
@@ -99,6 +101,7 @@ class ServoLaws:
         whole: The trials.
         instead: Joints whose kp and damping, times one factor, say what a mass that is carried
             does.
+        gain_shown: By joint, whether another kp alone is simulated worse.
     """
 
     recording: Recording
@@ -108,6 +111,7 @@ class ServoLaws:
     after: np.ndarray
     whole: WholeTrials
     instead: tuple[int, ...] = ()
+    gain_shown: tuple[bool, ...] = ()
 
     @property
     def laws(self) -> list[ServoLaw]:
@@ -193,7 +197,8 @@ def identified(
         found, members = _borne_out(whole, found, file, notify, seen)
     found = polished(whole, found.model)
     after = left_out_errors(whole, found)
-    return ServoLaws(recording, found, members, before, after, whole, instead)
+    shown = gain_shown(whole, found)
+    return ServoLaws(recording, found, members, before, after, whole, instead, shown)
 
 
 def _nothing_lacking(
@@ -256,7 +261,8 @@ def _of_whole_trials(
     model = replace(model, shared=(*model.shared, *stepped))
     found = or_other_friction(whole, polished(whole, with_mass(whole.recording, model)))
     file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
-    found = or_rival(whole, or_stepped(whole, found, file), file)
+    found = or_files_gain(whole, or_stepped(whole, found, file), file)
+    found = or_rival(whole, found, file)
     return or_heavier(whole, found, file)
 
 

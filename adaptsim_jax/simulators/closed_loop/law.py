@@ -375,14 +375,13 @@ def with_model(
 
     inertia: about the joint, kg m^2, by which its step is corrected (`half_a_step`).
     """
-    g, k, dof = servo.gear, servo.actuator, servo.dof
+    g, k, dof, more = servo.gear, servo.actuator, servo.dof, 0.0
     if inertia is not None:
         step = float(model.opt.timestep)
-        more = half_a_step(law.kp, law.damping, inertia + law.rotor, step)
-        law = law._replace(damping=law.damping + more)
+        more = float(half_a_step(law.kp, law.damping, inertia + law.rotor, step))
     inner = law.damping - min(servo.passive, law.damping)
     model.actuator_gainprm[k, 0] = (inner if servo.follows_speed else law.kp) / g
-    model.actuator_biasprm[k, :3] = 0.0, -law.kp / g**2, -inner * law.inside / g**2
+    model.actuator_biasprm[k, :3] = 0.0, -law.kp / g**2, -(inner * law.inside + more) / g**2
     model.actuator_dynprm[k, 0] = 1e-9  # targets are filtered before
     model.actuator_actearly[k] = True
     model.dof_damping[dof] = law.damping - inner * law.inside

@@ -130,6 +130,35 @@ def or_heavier(
     return found, ()
 
 
+def or_files_gain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+    """With the file's kp where motion is cut by a limit, which hardly shows kp: where that leaves
+    less, all else as it was and fitted from there.
+    """
+    cut = [j for j, f in enumerate(found.model.fits) if {"scale", "limit"} <= {*f.free}]
+    if not cut:
+        return found
+    fits = list(found.model.fits)
+    for j in cut:
+        fits[j] = fits[j].of(fits[j].law._replace(kp=file[j].kp))
+    rival = polished(whole, replace(found.model, fits=tuple(fits)))
+    return min((found, rival), key=lambda f: left_over(whole, f))
+
+
+def gain_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
+    """Whether whole trials show kp at each joint: they are simulated worse by another kp alone,
+    damping and limit as they are, in either direction.
+    """
+    laws, joints, times = found.model.laws, range(len(found.model.laws)), CLOSED_LOOP.other_gain
+    other = [(j, z) for j in joints if laws[j].kp for z in (times, 1.0 / times)]
+    every = whole.errors(
+        [[w._replace(kp=w.kp * z) if i == j else w for i, w in enumerate(laws)] for j, z in other]
+    )
+    here, worse = over_noise(whole, found.errors), dict.fromkeys(joints, np.inf)
+    for (j, _), error in zip(other, every, strict=True):
+        worse[j] = min(worse[j], 2.0 * np.log(over_noise(whole, error)[j] / here[j]))
+    return tuple(worse[j] > CLOSED_LOOP.clearly for j in joints)
+
+
 def one_shared(
     whole: WholeTrials, file: Sequence[ServoLaw], stepped: Sequence[str]
 ) -> Polished | None:
