@@ -114,7 +114,7 @@ def cut_arm(tmp_path_factory):
     return recording(logged(tmp_path_factory.mktemp("cut") / "log", ARM, cut))
 
 
-def test_what_corrects_a_step_is_cut_by_the_limit_as_well(cut_arm):
+def test_motion_at_a_limit_is_alike_in_any_step(cut_arm):
     laws = [cut(j, s.law) for j, s in enumerate(cut_arm.servos)]
     for step in (1e-3, 1e-4):
         model = copy.copy(cut_arm.model)

@@ -8,8 +8,6 @@ class ClosedLoopCriteria:
     """How servos are simulated, fitted and compared."""
 
     step: float = 1e-3  # s: a stiff servo's loop answers within a few milliseconds
-    # of a joint's inertia, that damping times a step may be before whole trials are stepped finer
-    stiff: float = 0.5
     near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
     longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
@@ -21,7 +19,6 @@ class ClosedLoopCriteria:
     moving: float = 20.0  # times its noise, by which a joint moves that is fitted
     # rad (m): no encoder counts as better, since how trials are stepped leaves a part of this
     min_noise: float = 1e-4
-    rough: float = 2.0  # of the step, by which derivatives of whole trials are simulated
     batch: int = 16  # parameter sets of a call
     # rows' worth of a pull to the file's scale: only ratios show where damping is heavy
     pull: float = 30.0

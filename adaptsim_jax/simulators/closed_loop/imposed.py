@@ -187,7 +187,6 @@ class Recording:
         trials: What was recorded.
         pieces: (trial, first row, last row).
         noise: [n] of the encoders, rad.
-        inertia: [n] about the joints, on average, kg m^2.
         hand: The body that carries a payload, -1: none does.
         outward: [3] in its frame: from its joint to its centre of mass, of length 1.
         step: Of the simulation of one joint, s.
@@ -199,7 +198,6 @@ class Recording:
     trials: tuple[Trial, ...]
     pieces: tuple[tuple[int, int, int], ...]
     noise: np.ndarray
-    inertia: np.ndarray
     hand: int
     outward: np.ndarray
     step: float
@@ -208,6 +206,13 @@ class Recording:
     def whole_step(self) -> float:
         """Of the simulation of whole trials, s."""
         return float(self.model.opt.timestep)
+
+    @property
+    def coarser(self) -> "Recording":
+        """The same, whole trials in steps twice as long."""
+        model = copy.copy(self.model)
+        model.opt.timestep = 2.0 * self.whole_step
+        return replace(self, model=model)
 
 
 def joint_problems(

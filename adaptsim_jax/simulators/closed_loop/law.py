@@ -348,46 +348,18 @@ def stacked(laws) -> ServoLaw:
     return ServoLaw(*(np.array(z, float) for z in zip(*laws, strict=True)))
 
 
-def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
-    """0 of a lightly damped loop, 1 of one that is damped far beyond critically."""
-    own, critical = damping**4, (4.0 * kp * inertia) ** 2  # the ratio's squares, above and below
-    return own / (own + critical + 1e-300)
-
-
-def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
-    """Damping, N m s/rad, by which a step that takes the position error at its beginning is right
-    to second order where damping rules: half of what kp gains in a step.
-
-    Where inertia rules the target has to come half a step later instead (`later`).
-    """
-    return 0.5 * step * kp * overdamped(kp, damping, inertia)
-
-
-def later(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
-    """By how much a target is to be late, s, so that a step is right to second order."""
-    return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
-
-
-def with_model(
-    servo: Servo, model: mujoco.MjModel, law: ServoLaw, inertia: float | None = None
-) -> None:
-    """Put a law into a MuJoCo model, in place, but for delay, lag, payload and lift.
-
-    inertia: about the joint, kg m^2, by which its step is corrected (`half_a_step`).
-    """
-    g, k, dof, more = servo.gear, servo.actuator, servo.dof, 0.0
-    if inertia is not None:
-        step = float(model.opt.timestep)
-        more = float(half_a_step(law.kp, law.damping, inertia + law.rotor, step))
+def with_model(servo: Servo, model: mujoco.MjModel, law: ServoLaw) -> None:
+    """Put a law into a MuJoCo model, in place, but for delay, lag, payload and lift."""
+    g, k, dof = servo.gear, servo.actuator, servo.dof
     inner = law.damping - min(servo.passive, law.damping)
     model.actuator_gainprm[k, 0] = (inner if servo.follows_speed else law.kp) / g
-    model.actuator_biasprm[k, :3] = 0.0, -law.kp / g**2, -(inner * law.inside + more) / g**2
+    model.actuator_biasprm[k, :3] = 0.0, -law.kp / g**2, -inner * law.inside / g**2
     model.actuator_dynprm[k, 0] = 1e-9  # targets are filtered before
     model.actuator_actearly[k] = True
     model.dof_damping[dof] = law.damping - inner * law.inside
     model.dof_frictionloss[dof] = law.rub
     rotor = servo.armature + law.rotor - law.damping_delay * law.damping
-    bodies = 0.0 if inertia is None else max(inertia - servo.armature, 0.0)
+    bodies = max(1.0 / float(model.dof_invweight0[dof]) - servo.armature, 0.0)
     model.dof_armature[dof] = max(rotor, -LIGHTER * bodies)
     model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
     model.qpos_spring[servo.qpos] = servo.rest

@@ -2,9 +2,8 @@
 out there returned to the file's.
 """
 
-import copy
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +19,12 @@ from adaptsim_jax.simulators.closed_loop.fit import (
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
-from adaptsim_jax.simulators.closed_loop.whole import blocks_of, simulated, trial_errors
+from adaptsim_jax.simulators.closed_loop.whole import (
+    blocks_of,
+    simulated,
+    stepped,
+    trial_errors,
+)
 
 STEP = {
     # at a limit a joint's place hangs on their quotients: longer steps are too rough for kp alone
@@ -89,14 +93,12 @@ class WholeTrials:
 
     Args:
         recording: What is simulated.
-        rough: The same stepped more coarsely, for derivatives.
         problems: Its joints, for scales and limits of their numbers.
         block: [rows of all trials] the piece of each, -1: none.
         counted: [rows of all trials] whether a row is compared.
     """
 
     recording: Recording
-    rough: Recording
     problems: tuple[JointProblem, ...]
     block: np.ndarray
     counted: np.ndarray
@@ -104,8 +106,13 @@ class WholeTrials:
     def errors(
         self, machines: Sequence[Sequence[ServoLaw]], roughly: bool = False
     ) -> list[np.ndarray]:
-        """[rows, n] of each machine, 0 where no row is compared."""
-        paths = simulated(self.rough if roughly else self.recording, machines)
+        """[rows, n] of each machine, 0 where no row is compared. roughly: as differences of
+        machines need it, in a third of the time.
+        """
+        if roughly:
+            paths = stepped(self.recording.coarser, machines)
+        else:
+            paths = simulated(self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
 
     def by_piece(self, error: np.ndarray) -> np.ndarray:
@@ -144,10 +151,7 @@ class WholeTrials:
 def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> WholeTrials:
     """The rows after the first instants of each trial count."""
     counted = np.concatenate([t.time > 0.02 for t in recording.trials])
-    model = copy.copy(recording.model)
-    model.opt.timestep = CLOSED_LOOP.rough * recording.step
-    rough = replace(recording, model=model)
-    return WholeTrials(recording, rough, tuple(problems), blocks_of(recording), counted)
+    return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
 
 
 def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:

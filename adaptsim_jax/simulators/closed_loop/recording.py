@@ -8,11 +8,9 @@ import numpy as np
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source, without_shapes
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.closed_loop.imposed import Recording, dynamics_along
-from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, servos_of
+from adaptsim_jax.simulators.closed_loop.imposed import Recording
+from adaptsim_jax.simulators.closed_loop.law import Servo, servos_of
 from adaptsim_jax.simulators.closed_loop.pieces import (
-    Trial,
-    TrialMotion,
     encoder_noise,
     pieces_of,
     trials_of,
@@ -39,27 +37,10 @@ def recording_of(source: Source, log: Log) -> Recording | None:
         return None
     declared = log.meta.least_noise("q", log.joint_names)[[s.joint for s in servos]]
     noise = np.maximum(encoder_noise(trials), declared)
-    inertia = _inertia(model, servos, trials)
     step = float(model.opt.timestep)
-    if _fast(servos, inertia, step):
-        model.opt.timestep = 0.5 * step
     hand = _hand(model, servos)
     way = _outward(model, hand)
-    return Recording(model, made.pose, servos, trials, pieces, noise, inertia, hand, way, step)
-
-
-def _fast(servos: tuple[Servo, ...], inertia: np.ndarray, step: float) -> bool:
-    """Whether a force that its limit cuts changes within a step: MuJoCo takes it as it begins."""
-    damping = np.array([s.law.damping if s.law.limit < OPEN else 0.0 for s in servos])
-    return bool(np.any(step * damping > CLOSED_LOOP.stiff * inertia))
-
-
-def _inertia(model: mujoco.MjModel, servos: tuple[Servo, ...], trials: tuple[Trial, ...]):
-    """[n] kg m^2 about the joints, at a few poses of the trials."""
-    q = np.concatenate([t.q for t in trials])
-    some = q[np.linspace(0, len(q) - 1, 20).astype(int)]
-    still = np.zeros_like(some)
-    return dynamics_along(model, servos, TrialMotion(some, still, still)).inertia.mean(0)
+    return Recording(model, made.pose, servos, trials, pieces, noise, hand, way, step)
 
 
 def _late_by_file(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:

@@ -6,6 +6,7 @@ within its level.
 """
 
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -13,9 +14,29 @@ import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Lanes
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, half_a_step, later, stacked
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, stacked
 
 SOFT_RATE, SOFT_IMPEDANCE = 2.0 / (0.95 * 0.02), 0.9  # of MuJoCo's dry friction, as it stands
+
+
+def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
+    """0 of a lightly damped loop, 1 of one that is damped far beyond critically."""
+    own, critical = damping**4, (4.0 * kp * inertia) ** 2  # the ratio's squares, above and below
+    return own / (own + critical + 1e-300)
+
+
+def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+    """Damping, N m s/rad, by which a step that takes the position error at its beginning is right
+    to second order where damping rules: half of what kp gains in a step.
+
+    Where inertia rules the target has to come half a step later instead (`later`).
+    """
+    return 0.5 * step * kp * overdamped(kp, damping, inertia)
+
+
+def later(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+    """By how much a target is to be late, s, so that a step is right to second order."""
+    return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
 
 
 def targets_of(delay, area, history: int, step: float):

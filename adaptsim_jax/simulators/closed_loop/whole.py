@@ -1,4 +1,9 @@
-"""Whole trials of the whole machine, stepped by MuJoCo with other laws than the file's."""
+"""Whole trials of the whole machine, simulated by MuJoCo with other laws than the file's.
+
+MuJoCo takes targets and what a limit cuts as a step begins: motion is wrong by a part of the step.
+So a trial is stepped twice, once twice as coarsely, and what the step itself does to the motion is
+taken off (Richardson's extrapolation).
+"""
 
 import copy
 import os
@@ -10,7 +15,7 @@ from mujoco import rollout
 from scipy import signal
 
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, later, with_model
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, with_model
 from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, smoothed
 from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
 
@@ -26,8 +31,8 @@ def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel
         model = heavier(recording.model, recording.hand, payload, at)
     else:
         model = copy.copy(recording.model)
-    for servo, law, inertia in zip(recording.servos, laws, recording.inertia, strict=True):
-        with_model(servo, model, law, inertia)
+    for servo, law in zip(recording.servos, laws, strict=True):
+        with_model(servo, model, law)
     if laws[0].lift != recording.servos[0].law.lift:
         model.body_gravcomp[1:] = laws[0].lift
     return model
@@ -42,8 +47,7 @@ def arrived_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) 
     for j, law in enumerate(laws):
         held = t.target[:, j]
         whole = np.append(0.0, np.cumsum(np.diff(edges) * held))
-        shift = later(law.kp, law.damping, recording.inertia[j] + law.rotor, dt)
-        at = dt * np.arange(steps + 1) - law.delay - law.shift - shift
+        at = dt * np.arange(steps + 1) - law.delay - law.shift
         area = np.where(at < 0.0, at * held[0], np.interp(at, edges, whole))
         mean = np.diff(area) / dt
         if law.lag > 1e-6:
@@ -63,6 +67,24 @@ def simulated(
     """Motion of each trial, by machine: angles and speeds [T, n] at its rows; NaN from where a
     simulation blew up. Accelerations are those of the speeds.
     """
+    fine, coarse = stepped(recording, machines), stepped(recording.coarser, machines)
+    return [
+        [_extrapolated(one, other) for one, other in zip(*both, strict=True)]
+        for both in zip(fine, coarse, strict=True)
+    ]
+
+
+def _extrapolated(fine: TrialMotion, coarse: TrialMotion) -> TrialMotion:
+    """To a step of 0; as `fine` where the coarse motion blew up."""
+    more = (np.nan_to_num(f - c) for f, c in ((fine.q, coarse.q), (fine.v, coarse.v)))
+    dq, dv = more
+    return TrialMotion(fine.q + dq, fine.v + dv, fine.a)
+
+
+def stepped(
+    recording: Recording, machines: Sequence[Sequence[ServoLaw]]
+) -> list[list[TrialMotion]]:
+    """The same in steps of the recording's model alone."""
     out: list[list[TrialMotion]] = []
     for first in range(0, len(machines), LANES):
         some = machines[first : first + LANES]
