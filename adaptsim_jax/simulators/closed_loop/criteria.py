@@ -30,6 +30,9 @@ class ClosedLoopCriteria:
     min_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
     # by which the change of another number, in its usual size, counts: a hundredth is worth a name
     units: float = 5.0
+    near_bound: float = 0.05  # of its range: a number that near to an end of it is at the end
+    # times the noise, that one number which explains all leaves at most after three rounds
+    hopeful: float = 10.0
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
     far: float = 4.0  # times the noise, beyond which a piece lacks something
     helped: int = 2  # pieces that come from there to `enough`: they show a number by themselves

@@ -24,7 +24,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     times_noise,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, at_end, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
@@ -322,7 +322,8 @@ def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawF
     for _ in range(CLOSED_LOOP.own):
         for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
             new = fitted(problem, start, 8)
-            if preferred(problem, fit, new):
+            ends = at_end(problem.servo, problem.scales, new.law, new.free[-1])
+            if not ends and preferred(problem, fit, new):
                 fit = new
                 break
         else:
@@ -445,6 +446,8 @@ def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> 
         return float(abs(np.log(getattr(law, number) / getattr(file, number))))
     if name == "limit" and file.limit < OPEN:
         return float(abs(np.log(law.limit / file.limit)))
+    if at_end(problem.servo, problem.scales, law, name):
+        return 0.0
     off = abs(getattr(law, name) - getattr(file, name))
     if name == "rotor":
         return float(off / (problem.step * law.damping) * CLOSED_LOOP.min_change)

@@ -175,7 +175,9 @@ def one_shared(
         rest = [n for n in stepped if n != "shift" or names[0] not in LATE]
         reach = CLOSED_LOOP.tool if names is CARRIED else 0.0
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
-        found.append(polished(whole, FittedServos(fits, (*names, *rest)), rounds=8))
+        begun = polished(whole, FittedServos(fits, (*names, *rest)), rounds=3)
+        if over_noise(whole, begun.errors).max() < CLOSED_LOOP.hopeful:
+            found.append(polished(whole, begun.model))
     best = min(found, key=lambda f: left_over(whole, f), default=None)
     if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
         return None
