@@ -36,7 +36,7 @@ def render(results: Mapping[str, Any]) -> str:
     settings = look.distinct(rows, "setting")
     methods = look.distinct(rows, "method")
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
-    curves = _rewards(results)
+    curves = rewards(results)
     if "reward" not in results:
         words = _CURVES
     elif "trials_axis" in results:
@@ -144,7 +144,7 @@ def _cell(r: Mapping[str, Any]) -> dict[str, str]:
 # setting
 
 
-def _rewards(results: Mapping[str, Any]) -> str:
+def rewards(results: Mapping[str, Any]) -> str:
     """Two plots for each setting, of the rows that have a curve over iterations; empty where none
     has.
     """

@@ -1,4 +1,6 @@
-"""What `adaptsim compare` leaves in its folder: results.json, table.md, figures and report.html."""
+"""What `adaptsim compare` leaves in its folder: results.json, table.md and report.html, whose plots
+are to be explored.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,7 +8,6 @@ from typing import Any
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.adaptation_page import write_adaptation_page
 
 
@@ -17,17 +18,8 @@ def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
     out = output_folder(Path(out))
     write_json(out / "results.json", results)
     write_bytes(out / "table.md", table(results).encode())
-    paths = [out / "results.json", out / "table.md"]
-    visiting = {r["method"] for r in results["rows"] if len(r["curve"]["median"]) > 1}
-    late = {m for m in visiting if m.endswith("_state")}
-    for name, methods in (
-        ("reward_over_iterations", visiting - late),
-        ("reward_over_iterations_state", late),
-    ):
-        if methods:
-            figure = draw.reward_over_iterations(results, look.in_order(methods))
-            paths.append(look.save(figure, out / f"{name}.png"))
-    return [*paths, write_adaptation_page(results, out / "report.html")]
+    page = write_adaptation_page(results, out / "report.html")
+    return [out / "results.json", out / "table.md", page]
 
 
 def table(results: Mapping[str, Any]) -> str:

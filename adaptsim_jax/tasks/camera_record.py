@@ -194,15 +194,12 @@ class TrackCriteria:
         fastest_turn: rad/s that no body turns at: those that slide turn at 9 rad/s.
         turn_slip: rad that yaw may jump beside: markers that are seen upside down jump by pi.
         hole: s without a row from which on the gap is reported.
-        stood: m that a body must have gone within a hole, by its speeds before and after, for its
-            standing still to show that the clock was set.
     """
 
     whole_turns: float = 30.0
     fastest_turn: float = 40.0
     turn_slip: float = 0.5
     hole: float = 0.1
-    stood: float = 0.03
 
 
 TRACK = TrackCriteria()
@@ -238,24 +235,3 @@ def holes(time: np.ndarray) -> list[str]:
         f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s"
         for k in np.flatnonzero(np.diff(time) > TRACK.hole)
     ]
-
-
-def check_clock_set(
-    time: np.ndarray, places: np.ndarray, trials: Callable[[int], str], body: str
-) -> None:
-    """BadInput where a body moves before and after a hole and stood still in it: the clock was set.
-    `time [T]` s, `places [T, C]` m.
-    """
-    for k in np.flatnonzero(np.diff(time) > TRACK.hole) + 1:
-        sides = [slice(max(k - 4, 0), k), slice(k, k + 4)]
-        if min(len(time[s]) for s in sides) < 3:
-            continue
-        speeds = [np.linalg.norm(places[s][-1] - places[s][0]) / np.ptp(time[s]) for s in sides]
-        gap = time[k] - time[k - 1]
-        went = float(np.linalg.norm(places[k] - places[k - 1]))
-        if gap * min(speeds) > TRACK.stood and went < 0.3 * gap * min(speeds):
-            raise BadInput(
-                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole "
-                f"of {gap:.3g} s, and by {went:.2g} m in it: was the clock set? mend the times "
-                "after it, or cut the trial there"
-            )

@@ -356,7 +356,6 @@ def _read_track(
             f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
             "or make it again"
         )
-    record.check_clock_set(t, p[:, :2], row, kind.body)
     for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
         p[:, j] = record.unwrapped(t, p[:, j], row, kind.body)
     keep = (t >= 0.0) & (t <= kind.ends)

@@ -159,9 +159,7 @@ def trajectory(
     from adaptsim_jax.tasks.camera_record import row_namer
     from adaptsim_jax.tasks.scooping.motion import check_way
 
-    found = measured().measured_trajectory(
-        table.columns, row_namer(path, table), str(path), scoops, session.as_declared
-    )
+    found = measured().measured_trajectory(table.columns, row_namer(path, table), str(path), scoops)
     if not session.as_declared:
         check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
     return found

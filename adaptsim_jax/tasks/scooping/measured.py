@@ -24,7 +24,7 @@ from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored
+from adaptsim_jax.tasks.scooping.motion import KIND
 from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y", "on")
@@ -108,14 +108,12 @@ def measured_trajectory(
     at: Callable[[int], str],
     where: str,
     scoops: AskedTrials,
-    as_declared: bool = False,
 ) -> ScoopingTrajectory:
     """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time,
     x, y, on of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight
-    times and counted from where the piece lay. as_declared: Whatever they say of the frame.
-    Raises BadInput.
+    times and counted from where the piece lay. Raises BadInput.
     """
     needed = (COLUMNS, "s, m, 0 or 1")
     trials = asked_tracks(columns, (where, at), scoops.numbers, KIND, needed, 50 * model.SECONDS)
@@ -124,8 +122,6 @@ def measured_trajectory(
             f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
             "else 0"
         )
-    if not as_declared:
-        check_mirrored(scoops.contexts[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
     for rows, time, track, given in trials:
         _check_track(time, track, given)

@@ -128,7 +128,6 @@ def test_scoops_are_read_with_their_noise(tmp_path, tracks):
 @pytest.mark.parametrize(
     ("change", "says"),
     [
-        (lambda z: z * [1.0, -1.0, 1.0], "mirrored"),
         (lambda z: z * [-1.0, 1.0, 1.0], "another frame"),
         (lambda z: z + np.array([0.5, 0.0, 0.0]), "another frame"),
         (lambda z: 1000.0 * z, "metres"),

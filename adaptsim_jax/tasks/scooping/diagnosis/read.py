@@ -14,7 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_way
+from adaptsim_jax.tasks.scooping.motion import KIND, check_way
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
 KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
@@ -68,8 +68,6 @@ def assemble(
     starts, acts = trials.stacked("place_x", "place_y"), trials.stacked(*_LIMITS)
     given = {k: float(meta[k]) for k in ("clearance", "press") if k in meta}
     options = check_options(replace(ScoopOptions(), **given))
-    if not as_declared:
-        check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
         found |= _moved(names, found, starts)
