@@ -163,6 +163,22 @@ def _choose(on: jax.Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(on, a, b), new, old)
 
 
+def loop_of(trained: Trained, iterations: int, task: Task | None = None) -> AskTell:
+    """The learned adaptation policy at work. task: Another than the run's own to score by."""
+    phase1, hyper = trained.phase1, trained.hyper
+    sizes = {name: float(getattr(hyper, name)) for name in ("delta", "shrink")}
+    weights = trained.state.learner.target
+    return AskTell(task or phase1.task, phase1.bdq, weights, iterations=iterations, **sizes)
+
+
+def begun(loop: AskTell, trained: Trained, starts: int, seed: int) -> AskState:
+    """Before any trial, from `starts` members of the run's own S_E."""
+    start_key, key = jax.random.split(jax.random.key(seed))
+    used = archive_size(trained.phase1, trained.rounds)
+    archive = trained.state.archive
+    return loop.init(key, draw_starts(start_key, archive, used, starts, loop.task.first))
+
+
 class Asked(NamedTuple):
     """What to run now: `params`, E's mean by name in SI units; `policy`, the task's own, a pytree.
     Number of the trial, from 1, of how many; act: `(obs [..., O]) -> action [..., A]`, of tasks
@@ -201,21 +217,11 @@ class Session:
         iterations: int = 10,
         seed: int = 0,
     ):
-        if isinstance(run, Trained):
-            self.trained = run
-        else:
-            self.trained = load_run(RunFolder.open(run))
-        phase1, hyper = self.trained.phase1, self.trained.hyper
-        self.task = phase1.task
+        self.trained = run if isinstance(run, Trained) else load_run(RunFolder.open(run))
+        self.task = self.trained.phase1.task
         measured = replace(self.task, score=lambda t: t[0], observe=lambda t: t[1])
-        sizes = {name: float(getattr(hyper, name)) for name in ("delta", "shrink")}
-        weights = self.trained.state.learner.target
-        self.loop = AskTell(measured, phase1.bdq, weights, iterations=iterations, **sizes)
-        start_key, key = jax.random.split(jax.random.key(seed))
-        used = archive_size(phase1, self.trained.rounds)
-        self.state: AskState = self.loop.init(
-            key, draw_starts(start_key, self.trained.state.archive, used, starts, self.task.first)
-        )
+        self.loop = loop_of(self.trained, iterations, measured)
+        self.state = begun(self.loop, self.trained, starts, seed)
 
     @property
     def done(self) -> bool:

@@ -171,13 +171,10 @@ def _minimise(
 
 
 class Best(NamedTuple):
-    """For `T` targets: `mean [T, D]` (unit coordinates) whose policy does best, its `cost [T]`, the
-    grid's best `[T]`.
-    """
+    """For `T` targets: `mean [T, D]` (unit coordinates) whose policy does best, its `cost [T]`."""
 
     mean: np.ndarray
     cost: np.ndarray
-    grid_cost: np.ndarray
 
 
 def best_in_omega(
@@ -206,11 +203,7 @@ def best_in_omega(
             _best_of(problem, target, cost, grid, starts)
             for target, cost in zip(targets, costs, strict=True)
         ]
-    return Best(
-        np.array([mean for mean, _ in ends]),
-        np.array([cost for _, cost in ends]),
-        costs.min(axis=1),
-    )
+    return Best(*map(np.array, zip(*ends, strict=True)))
 
 
 def _best_of(

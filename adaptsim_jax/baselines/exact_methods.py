@@ -44,13 +44,10 @@ class DescentState(NamedTuple):
 
 
 class DescentInfo(NamedTuple):
-    """What was seen at the mean that a step arrived at: `u [D]`, the cost there `[]`, the projected
-    gradient's norm `[]`.
-    """
+    """What was seen at the mean that a step arrived at: `u [D]`, and the cost there `[]`."""
 
     u: jax.Array
     cost: jax.Array
-    stationarity: jax.Array
 
 
 def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, DescentInfo]:
@@ -58,9 +55,8 @@ def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, D
     gradient [D])`.
     """
     cost, gradient = _log_slope(slope, u, target)
-    return DescentState(u, gradient, 0.1 / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-12)), _info(
-        u, cost, gradient
-    )
+    stride = 0.1 / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-12)
+    return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
 def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentState, DescentInfo]:
@@ -78,7 +74,7 @@ def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentS
     stride = jnp.where(
         curvature > 1e-12, jnp.sum(moved**2) / jnp.maximum(curvature, 1e-12), 2.0 * state.stride
     )
-    return DescentState(u, gradient, stride), _info(u, cost, gradient)
+    return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
 def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10) -> DescentInfo:
@@ -94,10 +90,6 @@ def _log_slope(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[jax.Array
     cost, gradient = slope(u, target)
     gradient = gradient / cost
     return cost, jnp.where(jnp.isfinite(gradient), gradient, 0.0)
-
-
-def _info(u: jax.Array, cost: jax.Array, gradient: jax.Array) -> DescentInfo:
-    return DescentInfo(u, cost, jnp.linalg.norm(jnp.clip(u - gradient, 0.0, 1.0) - u))
 
 
 def task_of(run: MethodRun, late: bool) -> Task:
@@ -190,7 +182,7 @@ def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
     out = []
     for i, target in enumerate(run.targets):
         keys = jax.vmap(lambda s, i=i: jax.random.fold_in(jax.random.key(s), i))(run.seeds)
-        out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32)).means))
+        out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32))))
         run.report(i + 1, len(run.targets))
     return Visits(np.stack(out)[:, :, None], config.iterations + 1)
 

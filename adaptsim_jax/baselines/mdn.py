@@ -101,26 +101,6 @@ def _inverse_transpose(factor: jax.Array) -> jax.Array:
     return jax.scipy.linalg.solve_triangular(factor, identity, lower=True).T
 
 
-def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
-    """Mean `[D]` and covariance `[D, D]` of one mixture (not truncated)."""
-    weights = jnp.exp(mixture.log_weights)
-    mean = weights @ mixture.means
-    roots = jax.vmap(_inverse_transpose)(mixture.factors)
-    within = jnp.einsum("k,kij,klj->il", weights, roots, roots)
-    offset = mixture.means - mean[None]
-    return mean, within + jnp.einsum("k,ki,kj->ij", weights, offset, offset)
-
-
-class DensityFit(NamedTuple):
-    """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the
-    best of them.
-    """
-
-    variables: dict
-    held_out_loss: jax.Array
-    best_loss: jax.Array
-
-
 def fit(
     key: jax.Array,
     variables: dict,
@@ -128,7 +108,7 @@ def fit(
     x: jax.Array,
     theta: jax.Array,
     config: FitConfig,
-) -> DensityFit:
+) -> dict:
     """Fit `variables` to pairs `x [n, obs]`, `theta [n, D]` by minimising the mean of
     `loss(variables, x_i, theta_i)`.
 
@@ -156,14 +136,13 @@ def fit(
         now = mean_loss(state[0], x[training:], theta[training:])
         better = now < best_loss  # a NaN is never better
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), state[0], best)
-        return (state, best, jnp.where(better, now, best_loss)), now
+        return (state, best, jnp.where(better, now, best_loss)), None
 
     start = (variables, optimiser.init(variables))
     first = jnp.asarray(jnp.inf, x.dtype)
-    (_, best, best_loss), losses = jax.lax.scan(
-        check, (start, variables, first), jax.random.split(key, checks)
-    )
-    return DensityFit(best, losses, best_loss)
+    keys = jax.random.split(key, checks)
+    (_, best, _), _ = jax.lax.scan(check, (start, variables, first), keys)
+    return best
 
 
 def standardise(x: jax.Array) -> tuple[jax.Array, jax.Array]:

@@ -85,43 +85,23 @@ class SysIdState(NamedTuple):
     count: jax.Array
 
 
-class SysIdInfo(NamedTuple):
-    """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out
-    loss, share inside.
-    """
-
-    mean: jax.Array
-    std: jax.Array
-    observation: jax.Array
-    held_out_loss: jax.Array
-    inside: jax.Array
-
-
-class Identified(NamedTuple):
-    """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre),
-    and each step's SysIdInfo.
-    """
-
-    means: jax.Array
-    info: SysIdInfo
-
-
 def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`, pure: jit it, and vmap it over keys and
-    targets.
+    """`adapt(key, target [D] physical) -> means of E [iterations + 1, D]` (unit coordinates, from
+    the start at the centre), pure: jit it, and vmap it over keys and targets.
     """
 
-    def adapt(key: jax.Array, target: jax.Array) -> Identified:
+    def adapt(key: jax.Array, target: jax.Array) -> jax.Array:
         start_key, first_key, rest_key = jax.random.split(key, 3)
-        state = start(start_key, task, estimator, config)
-        state, first = _iterate(first_key, state, target, task, estimator, config, config.first_fit)
+        begun = start(start_key, task, estimator, config)
+        first = _iterate(first_key, begun, target, task, estimator, config, config.first_fit)
 
         def one(state, step_key):
-            return _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+            after = _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+            return after, after.dist.mean
 
-        state, rest = jax.lax.scan(one, state, jax.random.split(rest_key, config.iterations - 1))
-        info = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-        return Identified(jnp.concatenate([info.mean, state.dist.mean[None]]), info)
+        keys = jax.random.split(rest_key, config.iterations - 1)
+        _, rest = jax.lax.scan(one, first, keys)
+        return jnp.concatenate([begun.dist.mean[None], first.dist.mean[None], rest])
 
     return adapt
 
@@ -145,19 +125,16 @@ def untrained(
     return SysIdState(dist, task.init_policy(policy_key), variables, collected, jnp.zeros((), int))
 
 
-def _iterate(
-    key, state, target, task, estimator, config, fit_config
-) -> tuple[SysIdState, SysIdInfo]:
-    real_key, *keys = jax.random.split(key, 5)
+def _iterate(key, state, target, task, estimator, config, fit_config) -> SysIdState:
+    real_key, *keys, train_key = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
-    *keys, train_key = keys
-    inferred, info = infer(keys, state, real, task, estimator, config, fit_config)
-    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy)), info
+    inferred = infer(keys, state, real, task, estimator, config, fit_config)
+    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy))
 
 
 def infer(
     keys, state: SysIdState, real: jax.Array, task, estimator, config, fit_config
-) -> tuple[SysIdState, SysIdInfo]:
+) -> SysIdState:
     """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was;
     `keys [3]`.
     """
@@ -165,7 +142,7 @@ def infer(
     x, u = simulate(data_key, task, state.policy, config)
     shift, scale = mdn.standardise(x)
     noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)
-    fitted = mdn.fit(
+    variables = mdn.fit(
         fit_key,
         state.variables,
         estimator.loss,
@@ -173,16 +150,15 @@ def infer(
         u,
         fit_config,
     )
-    draws = estimator.infer(infer_key, fitted.variables, (real - shift) / scale)
+    draws = estimator.infer(infer_key, variables, (real - shift) / scale)
     collected = state.collected.at[state.count].set(draws)
     used = collected if config.pool else draws[None]
     if config.pool:
         marked = jnp.arange(collected.shape[0]) <= state.count
     else:
         marked = jnp.ones(1, bool)
-    dist, inside = within_omega(used, marked, config.least_std)
-    info = SysIdInfo(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
-    return SysIdState(dist, state.policy, fitted.variables, collected, state.count + 1), info
+    dist, _ = within_omega(used, marked, config.least_std)
+    return SysIdState(dist, state.policy, variables, collected, state.count + 1)
 
 
 def simulate(
@@ -241,9 +217,7 @@ def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
 
 
 def make_sysid_bayes(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`; the policy follows the mean of the posterior
-    within Omega.
-    """
+    """As `make_sysid`; the policy follows the mean of the posterior within Omega."""
     return make_sysid(task, mixture_estimator(task.space.dim, config), config)
 
 
@@ -280,7 +254,5 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
 
 
 def make_sysid_point(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`; the policy is trained at the newest
-    point.
-    """
+    """As `make_sysid`; the policy is trained at the newest point."""
     return make_sysid(task, point_estimator(task.space.dim, config), config)

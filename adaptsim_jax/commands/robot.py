@@ -116,10 +116,7 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
 
 def new(args: argparse.Namespace) -> dict[str, Any]:
     """Start a session in an empty folder."""
-    import jax
-
-    from adaptsim_jax.adaptation.phase1 import archive_size
-    from adaptsim_jax.adaptation.phase2 import draw_starts
+    from adaptsim_jax.adaptation.asktell import begun
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import one_writer
@@ -141,13 +138,10 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         "trained": sessions.identity(sessions.run_of(path)),
     }
     session = sessions.make_session(folder, table)
-    trained = session.trained
     files.output_folder(folder)
-    start_key, key = jax.random.split(jax.random.key(args.seed))
-    used = archive_size(trained.phase1, trained.rounds)
-    starts = draw_starts(start_key, trained.state.archive, used, args.starts)
+    state = begun(session.loop, session.trained, args.starts, args.seed)
     with one_writer(folder):
-        sessions.save(session, session.loop.init(key, starts), [])
+        sessions.save(session, state, [])
         # written last: a folder with this file holds a whole session
         config.write(folder / SESSION, table)
         print(
@@ -176,9 +170,10 @@ def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
     import math
 
     from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.robot_trials import physical
 
     state, history = sessions.load(session)
-    task, total = session.trained.phase1.task, session.loop.trials(state)
+    total = session.loop.trials(state)
     done = len(history) >= total
     if done and not math.isfinite(state.best_score):
         print(
@@ -195,7 +190,7 @@ def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
     else:
         mean, policy = (state.mean, state.policy)
     policy = session.kind.robot.deployed(session, policy, history)
-    params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
+    params = physical(session, mean)
     if done:
         what = "best policy"
     else:

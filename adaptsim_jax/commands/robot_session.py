@@ -140,19 +140,14 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
 
 
 def make_session(folder: Path, table: dict[str, Any]) -> RobotSession:
-    from adaptsim_jax.adaptation.asktell import AskTell
+    from adaptsim_jax.adaptation.asktell import loop_of
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.tasks.registry import TASKS
 
     run = run_of(table["run"])
     trained = load_run(run)
     _check_same(run, table, folder)  # after the load, so that what was loaded is what is checked
-    phase1 = trained.phase1
-    weights, sizes = (
-        trained.state.learner.target,
-        {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
-    )
-    loop = AskTell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
+    loop = loop_of(trained, table["iterations"])
     return RobotSession(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
@@ -250,7 +245,7 @@ def recorded_trials(folder: Path, as_declared: bool = False, without: Sequence[s
 
     robot = TASKS[session_task(folder)].robot
     assert robot is not None and robot.recorded is not None  # of every `session_task`
-    trials = robot.recorded()
+    trials = robot.recorded
     files, rows = [], [trials.head]
     for visit in store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]:
         files.append(_same_file(folder, visit))

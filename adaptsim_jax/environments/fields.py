@@ -237,11 +237,6 @@ def known_fields(model: Any) -> list[str]:
     return names
 
 
-def values_of(fields: Sequence[ModelField]) -> np.ndarray:
-    """Nominal values `[F]`."""
-    return np.array([field.nominal for field in fields], np.float32)
-
-
 def edited(model: Any, fields: Sequence[ModelField], values: jax.Array) -> Any:
     """`model`, an `mjx.Model`, with `values [F]` of `fields` in their places; pure, of one
     sample.

@@ -236,33 +236,49 @@ class SessionTrials(NamedTuple):
     assemble: Callable[..., Any]
 
 
-@dataclass(frozen=True)
 class RobotFace:
-    """Of `robot`. turn: What one ask and tell is called. `history`: of the turns recorded so far,
-    as `remember` made them.
+    """What `robot` says and reads of a task. `history`: of the turns recorded so far, as `remember`
+    made them; `tried`: the state with the policy as the coming turn makes its trials.
 
-    deployed: The policy as it is deployed now, mended by what was recorded. tried: As the coming
-    turn makes its trials with it. Both are the policy itself by default. again: A turn that the
-    robot could not finish is asked again. Else its start is given up, since the policy asked of it
-    would fail again. recorded: How trials are read again for `diagnose`; None where sessions are not
-    diagnosed.
-    """  # noqa: E501
+    turn: What one ask and tell is called. again: A turn that the robot could not finish is asked
+    again. Else its start is given up, since the policy asked of it would fail again. recorded: How
+    trials are read again for `diagnose`; None where sessions are not diagnosed.
+    """
 
-    turn: str
-    opened: Callable[[Any, int], str]  # (session, turns) -> what a new session consists of
-    # (session, policy as deployed) -> what policy.toml holds of it
-    policy_file: Callable[[Any, Any], dict[str, Any]]
-    # (session, state as tried, policy as deployed, history, done)
-    show: Callable[[Any, Any, Any, list, bool], None]
-    read: Callable[[Any, Any, Any], Any]  # (session, state as tried, path) -> trajectory
-    # (session, state as tried, trajectory) -> entry of the history beside the score
-    remember: Callable[[Any, Any, Any], dict[str, Any]] = lambda session, tried, trajectory: {}
-    # (session, state as tried, state after, trajectory, done): what is said beside the return
-    comment: Callable[[Any, Any, Any, Any, bool], None] = lambda *turn: None
-    deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
-    tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
-    again: bool = True
-    recorded: Callable[[], SessionTrials] | None = None
+    turn = "trial"
+    again = True
+    recorded: SessionTrials | None = None
+
+    def opened(self, session: Any, total: int) -> str:
+        """What a new session of so many turns consists of."""
+        return f"session of {total} {self.turn}s"
+
+    def policy_file(self, session: Any, policy: Any) -> dict[str, Any]:
+        """What policy.toml holds of a policy as it is deployed, beside the parameters."""
+        raise NotImplementedError
+
+    def show(self, session: Any, tried: Any, policy: Any, history: list, done: bool) -> None:
+        """Say what to do now, or when all is done what the best policy does."""
+        raise NotImplementedError
+
+    def read(self, session: Any, tried: Any, path: Any) -> Any:
+        """The trajectory that was measured."""
+        raise NotImplementedError
+
+    def remember(self, session: Any, tried: Any, trajectory: Any) -> dict[str, Any]:
+        """The entry of the history beside the score."""
+        return {}
+
+    def comment(self, session: Any, tried: Any, after: Any, trajectory: Any, done: bool) -> None:
+        """What is said beside the return."""
+
+    def deployed(self, session: Any, policy: Any, history: list) -> Any:
+        """The policy as it is deployed now, mended by what was recorded."""
+        return policy
+
+    def tried(self, session: Any, policy: Any, history: list) -> Any:
+        """The policy as the coming turn makes its trials with it."""
+        return policy
 
 
 @dataclass(frozen=True)

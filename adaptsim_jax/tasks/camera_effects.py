@@ -35,7 +35,7 @@ def effects_of(table: dict[str, Table], quantities: Iterable[Quantity]) -> tuple
     """
     known, effects = {q.name: q for q in quantities}, []
     for name, row in table.items():
-        texts = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+        texts: Table = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
         own = tuple(known[n] for n in texts.pop("parameters"))
         grid = texts.pop("grid", None)
         if grid is not None:

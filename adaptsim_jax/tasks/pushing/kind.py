@@ -18,7 +18,7 @@ from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.engines import BACKENDS, PARITY
 from adaptsim_jax.tasks.pushing.model import PAPER, PARAMETERS
 from adaptsim_jax.tasks.pushing.one_shot import as_deployed, make_pushing_one_shot
-from adaptsim_jax.tasks.pushing.robot import ROBOT
+from adaptsim_jax.tasks.pushing.robot import PushSessions
 from adaptsim_jax.tasks.pushing.slide import NEUTRAL
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 from adaptsim_jax.tasks.pushing.trial import make_guide, make_simulator
@@ -166,7 +166,7 @@ TASK = TaskKind(
     make_pushing_one_shot,
     of_model=of_model,
     adapt=ADAPT,
-    robot=ROBOT,
+    robot=PushSessions(),
     symbols=SYMBOLS,
     backends=BACKENDS,
     parity=PARITY,
