@@ -17,6 +17,7 @@ from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, archive_size, ma
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 from adaptsim_jax.adaptation.training import learned
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
@@ -124,7 +125,7 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
     )
 
 
-def _judge(task: str, options: dict[str, Any]) -> Callable:
+def _judge(task: str, options: Table) -> Callable:
     """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed,
     corrected.
     """
@@ -163,7 +164,7 @@ def run_batch(
     width: int,
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
-) -> tuple[list[dict[str, Any]], Any, Any]:
+) -> tuple[list[Table], Any, Any]:
     """`(rows, state, prepared)` of at most `width` members, from `folder` if it has a
     checkpoint.
         A row is plain data:
@@ -217,7 +218,7 @@ def run_batch(
     return rows, devices.fetch(state) if spec.keep else None, prepared
 
 
-def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> dict[str, Any]:
+def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> Table:
     """Of member i. curves: Rewards, and whether losses were finite, `[width, rounds]`."""
     reward, finite = (curve[i] for curve in curves)
     row = {name: getattr(found, name)[i].astype(float).tolist() for name in MemberResult._fields}

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
@@ -182,7 +183,7 @@ class MethodRun:
     arena: Any
     seeds: np.ndarray
     report: Callable[..., None] = silent
-    shared: dict[str, Any] = field(default_factory=dict)
+    shared: Table = field(default_factory=dict)
 
     @property
     def targets(self) -> np.ndarray:

@@ -7,6 +7,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim adapt runs/a --target ood-1
   adaptsim adapt runs/a --target my_robot.toml     m1 = 1.4, m2 = 0.6, ... one line each
@@ -96,9 +98,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def describe(
-    result: Any, task: Any, name: str, params: Any, args: argparse.Namespace
-) -> dict[str, Any]:
+def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> Table:
     """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None
     for what is not finite.
     """
@@ -149,7 +149,7 @@ def number(value: Any) -> float | None:
     return None
 
 
-def _show(found: dict[str, Any]) -> None:
+def _show(found: Table) -> None:
     best = found["best"]
     print(
         f"target {found['target']['name']}: best reward {_digits(best['reward'])} of "

@@ -12,7 +12,8 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+
+from adaptsim_jax.core.config import Table
 
 EXAMPLES = """
   adaptsim close logs env.toml --out closed
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     read_env(args.task)  # refused before anything is written
     with output(args.out) as out, one_writer(out):
         stages = commands_of(args, out)
-        results: dict[str, Any] = {}
+        results: Table = {}
         done("diagnosis", out / "diagnosis" / "report.json", stages["diagnosis"])
         report = json.loads((out / "diagnosis" / "report.json").read_text(encoding="utf-8"))
         for world in WORLDS:
@@ -111,9 +112,7 @@ def done(stage: str, file: Path, words: list[str]) -> None:
         )
 
 
-def closed(
-    report: dict[str, Any], results: dict[str, dict[str, Any]], trials: int
-) -> dict[str, Any]:
+def closed(report: Table, results: dict[str, Table], trials: int) -> Table:
     """What result.json holds: of each target, simulator and method the mean return over seeds."""
     rows = []
     for world, found in results.items():

@@ -7,6 +7,8 @@ import shlex
 import sys
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim compare pendulum --out results
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
@@ -84,7 +86,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> list[Any]:
+def found_figure(results: Table, options: Table, out: Any) -> list[Any]:
     """`parameters_found.png` in `out`, where methods adapted the parameters of a task whose
     policies are learned.
     """

@@ -40,6 +40,7 @@ from adaptsim_jax.commands.demo_config import (
 from adaptsim_jax.commands.diagnose import diagnose
 from adaptsim_jax.commands.phase2 import phase2
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.core.parallel import worker_process
 from adaptsim_jax.core.progress import Parts, Report, silent_parts
@@ -69,7 +70,7 @@ class Pendulum(NamedTuple):
     """
 
     adapted: list[Adapted]
-    results: dict[str, Any]
+    results: Table
     reward_map: RewardMap
 
 
@@ -161,7 +162,7 @@ class Before(NamedTuple):
     """
 
     learned: int
-    found: dict[str, Any]
+    found: Table
     start: int
     trials: int
     before: float
@@ -233,12 +234,12 @@ class DemoResult(NamedTuple):
     """
 
     adapted: list[Adapted]
-    results: dict[str, Any]
+    results: Table
     reward_map: Any
     push: Before
     scoop: Before
-    diagnosis: dict[str, Any]
-    double: dict[str, Any] | None
+    diagnosis: Table
+    double: Table | None
     commands: dict[str, str]
 
 
@@ -274,7 +275,7 @@ def demo(
 
 def own_parts(
     out: Path, seed: int, config: DemoConfig, progress: Parts
-) -> tuple[Pendulum, dict[str, Any], Any]:
+) -> tuple[Pendulum, Table, Any]:
     """The pendulum and what is diagnosed."""
     report_of = _named(progress)
     pendulum = pendulum_part(out, seed, config, report_of)
@@ -286,7 +287,7 @@ def own_parts(
     )
 
 
-def diagnosed(data: Path, out: Path, report: Report) -> dict[str, Any]:
+def diagnosed(data: Path, out: Path, report: Report) -> Table:
     """Diagnose a sample into the folder `out`; the report, as report.json."""
     report(0, 1, "reading")
     found = diagnose(data, out=output_folder(out), progress=report)

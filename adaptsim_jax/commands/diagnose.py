@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.commands.parser import stretch
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -156,7 +157,7 @@ def of_trials(data: Path) -> str | None:
     return None
 
 
-Judge = Callable[..., dict[str, Any]]
+Judge = Callable[..., Table]
 """What is left to do of recordings that were read: `(out, exclude, progress) -> report`."""
 
 
@@ -264,7 +265,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     )
 
 
-def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
+def print_answer(args: argparse.Namespace, result: Table, out: Path, replays: bool) -> int:
     """The summary for a person and what to do next, or all of the report as JSON. replays: Whether
     `replay` takes the model.
     """
@@ -290,7 +291,7 @@ def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, re
     return 0
 
 
-def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
+def diagnose(data: str | Path | Log, **options: Any) -> Table:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:

@@ -8,6 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim init logs --model robot.xml                      writes logs/meta.toml
   adaptsim init run.mcap --model robot.urdf --out rig       writes rig/meta.toml, which names the bag
@@ -86,7 +88,7 @@ def _guesses(text: str) -> list[str]:
     return [line for line in text.splitlines()[1:] if "guess" in line]
 
 
-def _answer(begun: Any) -> dict[str, Any]:
+def _answer(begun: Any) -> Table:
     """The file, its lines that are guesses, and the log as it reads (None, and what is to be
     mended, where it does not).
     """

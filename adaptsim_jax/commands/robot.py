@@ -10,6 +10,7 @@ from typing import Any
 from adaptsim_jax import __version__
 from adaptsim_jax.commands import robot_session as sessions
 from adaptsim_jax.commands.robot_session import SESSION, UNDO, RobotSession
+from adaptsim_jax.core.config import Table
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
@@ -76,7 +77,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def stepped(args: argparse.Namespace) -> dict[str, Any]:
+def stepped(args: argparse.Namespace) -> Table:
     """What `--json` prints of a step: where the session stands and, of new and next, what is to be
     run now.
     """
@@ -114,7 +115,7 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
         return stands(session)
 
 
-def new(args: argparse.Namespace) -> dict[str, Any]:
+def new(args: argparse.Namespace) -> Table:
     """Start a session in an empty folder."""
     from adaptsim_jax.adaptation.asktell import begun
     from adaptsim_jax.core import config, files
@@ -150,7 +151,7 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         return ask(args, session)
 
 
-def stands(session: RobotSession) -> dict[str, Any]:
+def stands(session: RobotSession) -> Table:
     """How many turns are told, and what the last and the best of them returned."""
     import math
 
@@ -165,7 +166,7 @@ def stands(session: RobotSession) -> dict[str, Any]:
     return reported | {"last_return": last, "best_return": best if math.isfinite(best) else None}
 
 
-def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
+def ask(args: argparse.Namespace, session: RobotSession) -> Table:
     """Say and write what to run now; when all is told, the best policy."""
     import math
 
@@ -306,7 +307,7 @@ def undo(args: argparse.Namespace, session: RobotSession) -> None:
     print(f"taken back: {what}, of {session.kind.robot.turn} {len(earlier) + 1}")
 
 
-def _not_done(session: RobotSession) -> tuple[Any, list[dict[str, Any]], int]:
+def _not_done(session: RobotSession) -> tuple[Any, list[Table], int]:
     """State, history and number of turns. BadInput where all are told."""
     from adaptsim_jax.core.errors import BadInput
 
@@ -318,7 +319,7 @@ def _not_done(session: RobotSession) -> tuple[Any, list[dict[str, Any]], int]:
     return state, history, total
 
 
-def _tried(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> Any:
+def _tried(session: RobotSession, state: Any, history: list[Table]) -> Any:
     """The state with its policy as the coming turn makes its trials."""
     return state._replace(policy=session.kind.robot.tried(session, state.policy, history))
 

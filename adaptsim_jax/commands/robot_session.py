@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from adaptsim_jax.core.config import Table
+
 if TYPE_CHECKING:
     from adaptsim_jax.core.store import RunFolder
 
@@ -25,10 +27,10 @@ class RobotSession(NamedTuple):
     """
 
     folder: Path
-    table: dict[str, Any]
+    table: Table
     trained: Any
     loop: Any
-    options: dict[str, Any]
+    options: Table
     kind: Any
     as_declared: bool = False  # what the record contradicts is taken all the same
 
@@ -46,7 +48,7 @@ def open_session(folder: Path, moved: str | None = None) -> RobotSession:
     return session
 
 
-def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
+def located(folder: Path, moved: str | None = None) -> Table:
     """robot.toml of the session in `folder`, with its run where it is now."""
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
@@ -93,7 +95,7 @@ def places(run: str, folder: Path) -> dict[str, str]:
     return {"run": run, "run_from_here": os.path.relpath(run, folder.resolve())}
 
 
-def _was(table: dict[str, Any]) -> str:
+def _was(table: Table) -> str:
     """The run's path when the session began, which older checkpoints are bound to."""
     return str(table.get("was", table["run"]))
 
@@ -115,7 +117,7 @@ def run_of(path: str) -> RunFolder:
     return run
 
 
-def identity(run: RunFolder) -> dict[str, Any]:
+def identity(run: RunFolder) -> Table:
     """Which adaptation policy the run holds now: its checkpoint's step and hashes."""
     from adaptsim_jax.core.store import read_manifest
 
@@ -123,7 +125,7 @@ def identity(run: RunFolder) -> dict[str, Any]:
     return {name: manifest[name] for name in ("step", "sha256", "config_hash")}
 
 
-def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
+def _check_same(run: RunFolder, table: Table, folder: Path) -> None:
     """BadInput where the run's checkpoint is not the one that the session began with. Older
     sessions do not say which it was.
     """
@@ -139,7 +141,7 @@ def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
         )
 
 
-def make_session(folder: Path, table: dict[str, Any]) -> RobotSession:
+def make_session(folder: Path, table: Table) -> RobotSession:
     from adaptsim_jax.adaptation.asktell import loop_of
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.tasks.registry import TASKS
@@ -151,12 +153,12 @@ def make_session(folder: Path, table: dict[str, Any]) -> RobotSession:
     return RobotSession(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
-def keep(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> None:
+def keep(session: RobotSession, state: Any, history: list[Table]) -> None:
     """Keep what is about to be recorded over, for `undo`."""
     save(session, state, history, session.folder / UNDO / str(len(history)))
 
 
-def _bound(table: dict[str, Any]) -> str:
+def _bound(table: Table) -> str:
     """Hash of what a session's checkpoints are bound to: all but where things are."""
     from adaptsim_jax.core import config
 
@@ -166,7 +168,7 @@ def _bound(table: dict[str, Any]) -> str:
 
 
 def save(
-    session: RobotSession, state: Any, history: list[dict[str, Any]], folder: Path | None = None
+    session: RobotSession, state: Any, history: list[Table], folder: Path | None = None
 ) -> None:
     from adaptsim_jax.core import store
 
@@ -180,7 +182,7 @@ def save(
     )
 
 
-def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[dict[str, Any]]]:
+def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[Table]]:
     """State and history of the session, or of the record before in `folder`."""
     import jax
     import jax.numpy as jnp
@@ -260,7 +262,7 @@ def recorded_trials(folder: Path, as_declared: bool = False, without: Sequence[s
         )
 
 
-def _same_file(folder: Path, visit: dict[str, Any]) -> Path:
+def _same_file(folder: Path, visit: Table) -> Path:
     """The file of a visit, which must be what was recorded."""
     from adaptsim_jax.core.errors import BadInput
 

@@ -8,6 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim sweep SPEC.toml --out sweeps/a
   adaptsim sweep SPEC.toml --out sweeps/a --resume       go on after a kill, to the same bits
@@ -209,7 +211,7 @@ def _finish(folder: Any, as_json: bool) -> int:
     return 0
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(found: Table) -> None:
     left = found["members"] - found["done"] - found["failed"]
     print(f"{found['done']} members done, {found['failed']} failed, {left} left")
     for row in [r for r in found["rows"] if r["status"] == "failed"][:5]:

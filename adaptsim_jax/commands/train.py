@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim train pendulum --run runs/a
   adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
@@ -69,7 +71,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
+def config_of(table: Table, args: argparse.Namespace) -> Any:
     """The config in `table`, with what the command line changes."""
     from adaptsim_jax.adaptation.training import TrainConfig, with_defaults
     from adaptsim_jax.core import config
@@ -83,7 +85,7 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     return config.with_settings(start, settings)
 
 
-def _of_model(args: argparse.Namespace) -> dict[str, Any]:
+def _of_model(args: argparse.Namespace) -> Table:
     """Options of the task by `--model`; they go into the run's config, which is then whole without
     the file.
     """
@@ -138,7 +140,7 @@ def _check(asked: Any, args: argparse.Namespace) -> None:
     make_phase1(make_task(args.task, asked.task, args.config or "--set"), asked.phase1)
 
 
-def _start_table(args: argparse.Namespace) -> dict[str, Any]:
+def _start_table(args: argparse.Namespace) -> Table:
     """The config of a file (a run's, or a bare table) or of a preset, or the defaults."""
     from adaptsim_jax.adaptation.training import table_of
 
@@ -149,7 +151,7 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     return table_of(args.config, args.task, args.config)
 
 
-def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
+def _preset_table(args: argparse.Namespace) -> Table:
     from adaptsim_jax.adaptation.training import preset, presets_of
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
-from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.config import Table, read, suggest
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mechanisms.model_numbers import (
     NumberName,
@@ -241,7 +241,7 @@ def edited(model: Any, fields: Sequence[ModelField], values: jax.Array) -> Any:
     """`model`, an `mjx.Model`, with `values [F]` of `fields` in their places; pure, of one
     sample.
     """
-    changed: dict[str, Any] = {}
+    changed: Table = {}
     for i, field in enumerate(fields):
         for edit in field.edits:
             array = jnp.asarray(changed.get(edit.array, array_at(model, edit.array)))

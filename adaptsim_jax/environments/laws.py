@@ -23,6 +23,7 @@ from adaptsim_jax.attribution.acting import (
     forces,
     rubs_dry,
 )
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mechanisms import equations
@@ -95,8 +96,8 @@ class Memory(NamedTuple):
     """
 
     count: Any
-    command: dict[str, Any]
-    reading: dict[str, Any]
+    command: Table
+    reading: Table
     bent: Any
     ahead: Any
     rate: Any
@@ -129,7 +130,7 @@ def _began(laws: Laws, q, v, u) -> Memory:
     return Memory(jnp.zeros(()), command, reading, zero, zero, zero, q, v)
 
 
-def _numbers(laws: Laws, effect: Effect) -> dict[str, Any]:
+def _numbers(laws: Laws, effect: Effect) -> Table:
     """`[1, n]` by parameter."""
     return {k: z[:, 0][None] for k, z in laws.values.effects[effect.name].items()}
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.environments.simulated import advance, number_of, vector_of
@@ -60,7 +61,7 @@ class ModelEnvironment:
     done: Callable[[Any], jax.Array] | None = None
     control_dt: float = 0.02
     length: int = 250
-    fields: dict[str, Any] | None = None
+    fields: Table | None = None
 
     def __post_init__(self):
         self.mj_model = _read(self.mjcf)

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import explore
 from adaptsim_jax.report import figures as look
@@ -167,13 +168,11 @@ def rewards(results: Mapping[str, Any]) -> str:
     return ""
 
 
-def _curves(
-    rows: Sequence[Mapping[str, Any]], bottom: float, what: str, over: str
-) -> dict[str, Any]:
+def _curves(rows: Sequence[Mapping[str, Any]], bottom: float, what: str, over: str) -> Table:
     """Median over seeds with its quartiles, a line a method. No value is drawn where the policy
     destabilised the target.
     """
-    data: list[dict[str, Any]] = []
+    data: list[Table] = []
     most = 0
     for r in rows:
         name, style = shown(look.label(r["method"])), look.style(r["method"])
@@ -193,11 +192,11 @@ def _curves(
     return figure(data, across, rewards, f"over {over}", hovermode="x unified")
 
 
-def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, over: str) -> dict[str, Any]:
+def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, over: str) -> Table:
     """Best iteration, or what is deployed at last: every seed as a dot, and the mean with its 95 %
     interval where there are seeds to take one over.
     """
-    data: list[dict[str, Any]] = []
+    data: list[Table] = []
     names = [shown(look.label(r["method"])) for r in rows]
     for r, name in zip(rows, names, strict=True):
         seeds = [(i, v) for i, v in enumerate(r["per_seed"]) if v is not None]
@@ -219,7 +218,7 @@ def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, over: str) -> dict[
     return figure(data, axis(best, **limits), methods, title)
 
 
-def _mean(r: Mapping[str, Any], name: str) -> dict[str, Any]:
+def _mean(r: Mapping[str, Any], name: str) -> Table:
     """The mean over seeds, with its interval where it has one."""
     colour, mean, interval = look.colour(r["method"]), r["mean"], {}
     if r["low"] is not None and r["high"] is not None:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder, write_bytes
 from adaptsim_jax.report import comparison, explore
 from adaptsim_jax.report import diagnosis_format as fmt
@@ -77,7 +78,7 @@ def write_demo(tour: Any, out: Path) -> None:
     write_bytes(out / "index.html", page.encode())
 
 
-def drawn(tour: Any) -> dict[str, Any]:
+def drawn(tour: Any) -> Table:
     """The figures by name."""
     task = tour.adapted[0].trained.phase1.task
     target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
@@ -119,7 +120,7 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
     )
 
 
-def contact_words(found: Any, out: Path) -> dict[str, Any]:
+def contact_words(found: Any, out: Path) -> Table:
     """The push or the scoop: rewards before and after, trials spent, target and what was found, and
     the film's place.
     """
@@ -138,7 +139,7 @@ def contact_words(found: Any, out: Path) -> dict[str, Any]:
     }
 
 
-def parameter_rows(tour: Any) -> list[dict[str, Any]]:
+def parameter_rows(tour: Any) -> list[Table]:
     """Omega, the target, and what the first run's best policy was trained at."""
     one = tour.adapted[0]
     space = one.trained.phase1.task.space
@@ -157,7 +158,7 @@ def parameter_rows(tour: Any) -> list[dict[str, Any]]:
     ]
 
 
-def method_rows(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def method_rows(results: Mapping[str, Any]) -> list[Table]:
     """The comparison table, a row a method."""
     return [
         {
@@ -181,7 +182,7 @@ def _reward(value: float | None) -> str:
     return fmt.fixed(value, 2)
 
 
-def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
+def diagnosis_words(report: Mapping[str, Any]) -> Table:
     """The diagnosis in a few words: verdict, headline, message, error before and after."""
     error = report["error"]
     mended = bool(report["effects"])

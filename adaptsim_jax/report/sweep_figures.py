@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.explore import (
     Plot,
@@ -44,7 +45,7 @@ def earned(row: Mapping[str, Any], name: str) -> float | None:
     return row["targets"][name]["reward"]
 
 
-def interval(values: list[float]) -> dict[str, Any]:
+def interval(values: list[float]) -> Table:
     """mean, half (of the 95 % interval of the mean) and count of `values`."""
     from scipy.stats import t
 
@@ -119,7 +120,7 @@ def over_values(found: Mapping[str, Any]) -> str:
     return ""
 
 
-def _over(swept: SweptRewards, key: str) -> dict[str, Any]:
+def _over(swept: SweptRewards, key: str) -> Table:
     data = []
     for i, (name, rows) in enumerate(swept.lines.items()):
         colour, dash = COLOURS[(i - 1) % len(COLOURS)], "solid"
@@ -192,7 +193,7 @@ def _taken(length: int) -> np.ndarray:
     return np.unique(np.linspace(0, length - 1, min(length, MOST_ROUNDS)).round().astype(int))
 
 
-def _over_rounds(data: list[dict[str, Any]], title: str, rounds: int) -> dict[str, Any]:
+def _over_rounds(data: list[Table], title: str, rounds: int) -> Table:
     whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
     rewards = axis("reward of the last step")
     return figure(data, axis("round", **whole), rewards, title, hovermode="closest")
@@ -200,8 +201,8 @@ def _over_rounds(data: list[dict[str, Any]], title: str, rounds: int) -> dict[st
 
 def _medians(
     found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: SharedColumns
-) -> dict[str, Any]:
-    data: list[dict[str, Any]] = []
+) -> Table:
+    data: list[Table] = []
     for i, (name, curve) in enumerate(found.items()):
         low, middle, high = np.nanpercentile(curve[:, _taken(curve.shape[1])], [25, 50, 75], axis=0)
         colour, x, title = COLOURS[i % len(COLOURS)], rounds[curve.shape[1]], shown(name)
@@ -217,7 +218,7 @@ def _medians(
 
 def _seeds(
     rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: SharedColumns
-) -> dict[str, Any]:
+) -> Table:
     some = [row for row in rows if row.get("curve")]
     data, x = [], rounds[curve.shape[1]]
     for i, row in enumerate(some[:30]):

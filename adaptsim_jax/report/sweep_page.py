@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import explore, sweep_figures
 from adaptsim_jax.report import figures as look
@@ -52,7 +53,7 @@ def render(found: Mapping[str, Any]) -> str:
     )
 
 
-def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[dict[str, Any]]:
+def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[Table]:
     """Of each reward the mean over the members of one combination, with the half width of its 95 %
     interval.
     """

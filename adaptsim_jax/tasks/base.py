@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.space import Gaussian, Parameter, Space
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ class Task:
 
 
 @cache
-def tables() -> dict[str, Any]:
+def tables() -> Table:
     """`settings.toml`: of each task its named targets, and boxes of parameters."""
     return tomllib.loads(Path(__file__).with_name("settings.toml").read_text())
 
@@ -231,7 +232,7 @@ class SessionTrials(NamedTuple):
     """
 
     head: str
-    rows: Callable[[dict[str, Any]], list[tuple]]
+    rows: Callable[[Table], list[tuple]]
     options: tuple[str, ...]
     assemble: Callable[..., Any]
 
@@ -253,7 +254,7 @@ class RobotFace:
         """What a new session of so many turns consists of."""
         return f"session of {total} {self.turn}s"
 
-    def policy_file(self, session: Any, policy: Any) -> dict[str, Any]:
+    def policy_file(self, session: Any, policy: Any) -> Table:
         """What policy.toml holds of a policy as it is deployed, beside the parameters."""
         raise NotImplementedError
 
@@ -265,7 +266,7 @@ class RobotFace:
         """The trajectory that was measured."""
         raise NotImplementedError
 
-    def remember(self, session: Any, tried: Any, trajectory: Any) -> dict[str, Any]:
+    def remember(self, session: Any, tried: Any, trajectory: Any) -> Table:
         """The entry of the history beside the score."""
         return {}
 
@@ -302,8 +303,8 @@ class TaskKind:
     make: Callable[[Any], Task]
     one_shot: Callable[[Any], Any] | None = None
     train: Mapping[str, Any] = field(default_factory=dict)
-    augmented: Callable[[dict[str, Any], str], Task] | None = None
-    of_model: Callable[[dict[str, Any], str], dict[str, Any]] | None = None
+    augmented: Callable[[Table, str], Task] | None = None
+    of_model: Callable[[Table, str], Table] | None = None
     adapt: AdaptFace | None = None
     robot: RobotFace | None = None
     symbols: Mapping[str, str] = field(default_factory=dict)

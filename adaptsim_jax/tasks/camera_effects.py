@@ -11,10 +11,10 @@ from typing import Any
 import jax.numpy as jnp
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.effects.base import Effect, Quantity
 
 Array = Any
-Table = dict[str, Any]
 
 
 def read_table(path: Path) -> tuple[tuple[Quantity, ...], dict[str, Table]]:

@@ -12,6 +12,11 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.table import LogTable
 from adaptsim_jax.logs.table_checks import lost_digits
 
+RowName = Callable[[int], str]
+"""How messages call row k."""
+Columns = Mapping[str, np.ndarray]
+"""Of a table, by name, `[T]` each."""
+
 
 class CameraTracks(NamedTuple):
     """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is
@@ -21,10 +26,10 @@ class CameraTracks(NamedTuple):
     rows: np.ndarray
     time: np.ndarray
     track: np.ndarray
-    row_name: Callable[[int], str]
+    row_name: RowName
 
 
-def row_namer(path: object, table: LogTable) -> Callable[[int], str]:
+def row_namer(path: object, table: LogTable) -> RowName:
     """How messages call row `i` of a table that was read from `path`."""
     return lambda i: f"{path}: {table.row_word} {table.lines[i]}"
 
@@ -39,8 +44,8 @@ def check_columns(
 
 
 def trials_of(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     where: str,
     asked: np.ndarray,
     most: float,
@@ -74,7 +79,7 @@ def trials_of(
     return observed
 
 
-def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
+def check_numbers(numbers: np.ndarray, at: RowName, asked: np.ndarray) -> None:
     """BadInput at the first row of `numbers [T]` that is none of the trials `asked [N]`."""
     for i in np.flatnonzero(~np.isin(numbers, asked))[:1]:
         now, number = " and ".join(map(str, asked)), numbers[i]
@@ -102,8 +107,8 @@ def unit_like(size: float, usual: float) -> str:
 
 
 def check_unit(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     distant: float,
     what: str,
     usual: float = 0.0,
@@ -141,7 +146,7 @@ def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
                 )
 
 
-def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
+def check_increasing(time: np.ndarray, trials: RowName) -> None:
     """BadInput at the first row of one trial's `time [T]` s that is not after the one before."""
     for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
         if lost := lost_digits(time):
@@ -153,9 +158,7 @@ def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
         )
 
 
-def check_gaps(
-    time: np.ndarray, most: float, until: float, trials: Callable[[int], str], again: str
-) -> None:
+def check_gaps(time: np.ndarray, most: float, until: float, trials: RowName, again: str) -> None:
     """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`;
     again: The mend.
     """
@@ -169,7 +172,7 @@ def check_gaps(
 def check_leaps(
     time: np.ndarray,
     track: np.ndarray,
-    trials: Callable[[int], str],
+    trials: RowName,
     body: str,
     fastest: float,
     slip: float = 0.0,
@@ -205,9 +208,7 @@ class TrackCriteria:
 TRACK = TrackCriteria()
 
 
-def unwrapped(
-    time: np.ndarray, yaw: np.ndarray, trials: Callable[[int], str], body: str
-) -> np.ndarray:
+def unwrapped(time: np.ndarray, yaw: np.ndarray, trials: RowName, body: str) -> np.ndarray:
     """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not
     seen. BadInput at the first row in another unit, or that jumps otherwise.
     """

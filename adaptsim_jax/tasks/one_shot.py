@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF
 from adaptsim_jax.learners.naf_goals import GoalConfig, GoalLearner, Trials
@@ -231,7 +232,7 @@ def _count(naf: Any) -> int:
     return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
 
 
-def leaves_by_name(policy: Any) -> dict[str, Any]:
+def leaves_by_name(policy: Any) -> Table:
     """The leaves of a task policy as nested lists, by name."""
     leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
     return {

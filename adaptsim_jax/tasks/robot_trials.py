@@ -13,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.tasks.base import RobotFace
@@ -20,7 +21,7 @@ from adaptsim_jax.tasks.base import RobotFace
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot_session import RobotSession
 
-History = list[dict[str, Any]]
+History = list[Table]
 
 
 class AskedTrials(NamedTuple):
@@ -41,17 +42,16 @@ def asked_trials(turn: Any, contexts: Any, actions: Any) -> AskedTrials:
     return AskedTrials(numbers, np.asarray(contexts), np.asarray(actions))
 
 
-def record_of_trials(
-    kind: type, bounds: tuple[tuple[float, ...], tuple[float, ...]], actions: Any, ended: Any
-) -> Any:
-    """A record of trials that all count, as policies are corrected by it: `kind(actions in [-1, 1],
-    how they ended, used)`. `actions [K, d]` lie between the two `bounds [d]`.
+def corrected_by(policy: Any, kind: type, bounds: Any, actions: Any, ended: Any) -> Any:
+    """The policy corrected by trials that all count, `kind(actions in [-1, 1], how they ended,
+    used)`, where there are any. `actions [K, d]` lie between the two `bounds [d]`.
     """
+    if not len(actions):
+        return policy
     low, high = map(np.asarray, bounds)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    return kind(
-        jnp.asarray(own, jnp.float32), jnp.asarray(ended, jnp.float32), jnp.ones(len(own), bool)
-    )
+    both = (jnp.asarray(x, jnp.float32) for x in (own, ended))
+    return policy._replace(told=kind(*both, jnp.ones(len(own), bool)))
 
 
 class TrialSessions(RobotFace):
@@ -108,7 +108,7 @@ class TrialSessions(RobotFace):
         count = config_of(session).trajectories
         return f"session of {total} iterations of {count} {self.trials}"
 
-    def policy_file(self, session: RobotSession, policy: Any) -> dict[str, Any]:
+    def policy_file(self, session: RobotSession, policy: Any) -> Table:
         """`measured.read_policy` reads it."""
         return self.measured.policy_table(policy, config_of(session))
 
@@ -151,7 +151,7 @@ class TrialSessions(RobotFace):
         table = read_table(path, self.measured.COLUMNS, min_rows=1, lost=("x", "y"))
         return self.trajectory(session, tried, self.make(session, tried), table, path)
 
-    def remember(self, session: RobotSession, tried: Any, trajectory: Any) -> dict[str, Any]:
+    def remember(self, session: RobotSession, tried: Any, trajectory: Any) -> Table:
         """The parameters and the trials of an iteration, for figures and for people."""
         results = getattr(trajectory, self.result)
         rows = zip(*self.make(session, tried), trajectory.points, results, strict=True)

@@ -13,13 +13,13 @@ compares policies that were trained on the declared and on the mended model.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.closed_loop import Course, Law, run_loop
 from adaptsim_jax.mechanisms.stepping import Sample
@@ -92,7 +92,7 @@ def make_controller(given: ModelFile, table: dict, where: str = POLICY) -> Contr
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 
 
-def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
+def task_reward(before: ModelFile, after: ModelFile) -> Table | None:
     """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both
     run in the mended one, rewards against the better of the two.
 

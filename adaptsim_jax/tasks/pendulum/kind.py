@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.mend.pendulum_model import model_of
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.commands.robot_session import RobotSession
 
 
-def augmented(options: dict[str, Any], where: str) -> Task:
+def augmented(options: Table, where: str) -> Task:
     """The task on a mended model, whose table stands under `model`; `reward_gain` may stand beside
     it.
     """
@@ -46,7 +47,7 @@ def augmented(options: dict[str, Any], where: str) -> Task:
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
-def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
+def of_model(table: Table, where: str) -> Table:
     """The option `model`: the checked file, less what is only for people."""
     model_of(table, where)
     return {
@@ -72,7 +73,7 @@ class PendulumRobot(RobotFace):
 
     again = False
 
-    def policy_file(self, session: RobotSession, policy: Any) -> dict[str, Any]:
+    def policy_file(self, session: RobotSession, policy: Any) -> Table:
         return {"policy": leaves_by_name(policy)}
 
     def show(self, session: RobotSession, tried: Any, policy: Any, history: list, done: bool):

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.mend.model_toml import RENEW, read_form
 from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, TaskKind
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 OWN = ("friction", "mass", "coefficients")
 
 
-def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
+def of_model(table: Table, where: str) -> Table:
     """Options `friction`, `coefficients`, `mended` and `fitted` of a model file's table. Under
     `left_out` the names of effects that are of the measurement alone (a camera that is late or
     turned) and so none of the simulator's. Raises BadInput with the key.

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
 from adaptsim_jax.tasks.base import Episode
@@ -55,7 +56,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     def trials(goals, actions, points):
         return Trials(goals, actions, points[:, -1])
 
-    policies: dict[str, Any] = naf_policies(
+    policies: Table = naf_policies(
         naf, learner, config.trials, config.training, PushingPolicy, task.goal_input, trials
     )
     policies["act"] = task.make_choice(config)
@@ -92,7 +93,7 @@ def _world(
     config: PushingConfig, options: PushOptions, backend: str, /, **settings: Any
 ) -> TargetWorld:
     """A target in `backend`; the planar model is the one of `config`."""
-    own: dict[str, Any] = {}
+    own: Table = {}
     if backend == "planar":
         own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)}
     return pushing_world(backend, options, **(own | settings))

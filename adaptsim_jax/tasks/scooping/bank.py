@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.stats import qmc
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
@@ -115,7 +116,7 @@ def identity(options: ScoopOptions, numerics: Numerics) -> str:
 
 
 @cache
-def read_bank(path: Path = PATH) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_bank(path: Path = PATH) -> tuple[Table, dict[str, np.ndarray]]:
     """What the file at `path` says of itself, and its arrays."""
     if not path.exists():
         raise BadInput(

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid, naf_policies
 from adaptsim_jax.tasks.scooping import engines as backends
@@ -41,7 +42,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     def trials(contexts, actions, outcomes):
         return Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
 
-    policies: dict[str, Any] = naf_policies(
+    policies: Table = naf_policies(
         naf, learner, config.trials, config.training, ScoopingPolicy, task.place_input, trials
     )
     policies["act"] = make_choice(config)

@@ -5,10 +5,10 @@ judged is refused with its row.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import read_table
@@ -253,7 +253,7 @@ def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarr
     return (place[:, None] + rotated(turn[:, None], corners[None]))[..., 2].min(1)
 
 
-def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float, str]:
+def _noise(meta: Table, where: Path, place, turn) -> tuple[float, float, str]:
     """Of one coordinate, as declared or by third differences, which motion hardly has at these
     rates outside of impacts.
     """

@@ -5,10 +5,10 @@ and the push that tells more.
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
@@ -90,7 +90,7 @@ GRID = (5, 13)
 """Speeds and angles of the pushes that a next one is chosen from."""
 
 
-def informative_pushes(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
+def informative_pushes(pushed: Pushed, found: Finding) -> Table | None:
     """The pushes of a grid that tell a named effect and its look-alikes apart; see `next_trials`.
 
     None where nothing that was named has look-alikes. Lengths may be scaled by a parallax too,
