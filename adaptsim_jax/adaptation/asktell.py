@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.adaptation.phase1 import DistributionArchive, archive_size
@@ -33,9 +34,9 @@ class Tried(NamedTuple):
     `[T]`, NaN of those to come.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
-    score: jax.Array
+    score: Array
 
 
 class AskState(NamedTuple):
@@ -47,13 +48,13 @@ class AskState(NamedTuple):
         tried: What that is chosen from, else empty.
     """
 
-    key: jax.Array
-    told: jax.Array
-    mean: jax.Array
+    key: Array
+    told: Array
+    mean: Array
     policy: Any
     starts: DistributionArchive
-    best_score: jax.Array
-    best_mean: jax.Array
+    best_score: Array
+    best_mean: Array
     best_policy: Any
     tried: Tried | tuple[()] = ()
 
@@ -63,9 +64,9 @@ class TrialInfo(NamedTuple):
     far.
     """
 
-    score: jax.Array
-    action: jax.Array
-    best: jax.Array
+    score: Array
+    action: Array
+    best: Array
 
 
 class AskTell:
@@ -92,7 +93,7 @@ class AskTell:
             lambda key, mean, policy: task.train(key, gaussian(task.space, mean), policy)
         )
 
-    def init(self, key: jax.Array, starts: DistributionArchive) -> AskState:
+    def init(self, key: Array, starts: DistributionArchive) -> AskState:
         """Before any trial, from `starts [N, ...]`."""
         mean, policy = jax.tree.map(lambda x: x[0], starts)
         policy = self._train(jax.random.fold_in(key, 0), mean, policy)
@@ -135,7 +136,7 @@ class AskTell:
         policy = self._train(jax.random.fold_in(state.key, count), mean, policy)
         return state._replace(told=jnp.asarray(count, jnp.int32), mean=mean, policy=policy)
 
-    def _next(self, state: AskState, action: Any, count: int) -> tuple[jax.Array, Any]:
+    def _next(self, state: AskState, action: Any, count: int) -> tuple[Array, Any]:
         start, iteration = divmod(count, self.iterations + 1)
         if iteration == 0:  # the next start, or the last one again once all is over
             index = min(start, self.trials(state) // (self.iterations + 1) - 1)
@@ -144,7 +145,7 @@ class AskTell:
         space = self.task.space
         return spaces.step(space, gaussian(space, state.mean), action, size).mean, state.policy
 
-    def _best(self, state: AskState, score: jax.Array) -> tuple[tuple[Any, Any, Any], Any, Any]:
+    def _best(self, state: AskState, score: Array) -> tuple[tuple[Any, Any, Any], Any, Any]:
         """(Return, mean and policy) of the best trial, whether that is this one, and all trials."""
         before = (state.best_score, state.best_mean, state.best_policy)
         if not self.task.doubt:
@@ -159,7 +160,7 @@ class AskTell:
         return _choose(some, picked, before), some & (best == state.told), tried
 
 
-def _choose(on: jax.Array, new: Any, old: Any) -> Any:
+def _choose(on: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(on, a, b), new, old)
 
 
@@ -275,7 +276,7 @@ class Session:
         trajectory = self.task.read(obs, action, reward)
         return float(self.task.score(trajectory)), np.asarray(self.task.observe(trajectory))
 
-    def _asked(self, mean: jax.Array, policy: Any) -> Asked:
+    def _asked(self, mean: Array, policy: Any) -> Asked:
         names, values = self.task.space.names, np.asarray(self.task.space.physical(mean))
         act = None
         if self.task.act is not None:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation import sweep_plan as devices
 from adaptsim_jax.adaptation.episode import StepPlan
@@ -52,10 +53,10 @@ class MemberResult(NamedTuple):
     visit's reward `[T]` and mean of E `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`.
     """
 
-    whole: jax.Array
-    best: jax.Array
-    params: jax.Array
-    rewards: jax.Array
+    whole: Array
+    best: Array
+    params: Array
+    rewards: Array
 
 
 def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation.analytic import Analytic, AnalyticConfig
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
@@ -29,7 +30,7 @@ from adaptsim_jax.tasks.registry import make_task
 # of the real one. It is no method for a robot, but it says what the parameterization allows with as
 # many target evaluations as the others use. See `docs/howto/differentiable.md`.
 
-Slope = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+Slope = Callable[[Array, Array], tuple[Array, Array]]
 LONGEST_MOVE = 0.25  # of the range, for any parameter in one step
 
 
@@ -38,19 +39,19 @@ class DescentState(NamedTuple):
     stride `[]`.
     """
 
-    u: jax.Array
-    gradient: jax.Array
-    stride: jax.Array
+    u: Array
+    gradient: Array
+    stride: Array
 
 
 class DescentInfo(NamedTuple):
     """What was seen at the mean that a step arrived at: `u [D]`, and the cost there `[]`."""
 
-    u: jax.Array
-    cost: jax.Array
+    u: Array
+    cost: Array
 
 
-def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+def init(slope: Slope, u: Array, target: Array) -> tuple[DescentState, DescentInfo]:
     """Evaluate the first mean `u [D]` in `target [D]` (physical). `slope(u, target) -> (cost [],
     gradient [D])`.
     """
@@ -59,7 +60,7 @@ def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, D
     return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
-def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+def step(slope: Slope, state: DescentState, target: Array) -> tuple[DescentState, DescentInfo]:
     """One projected gradient step on the logarithm of the cost, which makes strides free of its
     unit.
 
@@ -77,7 +78,7 @@ def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentS
     return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
-def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10) -> DescentInfo:
+def descend(slope: Slope, u: Array, target: Array, iterations: int = 10) -> DescentInfo:
     """`init` and `iterations` steps: `DescentInfo` with a leading axis `[iterations + 1]`. Pure;
     vmap over starts and targets.
     """
@@ -86,7 +87,7 @@ def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
 
 
-def _log_slope(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _log_slope(slope: Slope, u: Array, target: Array) -> tuple[Array, Array]:
     cost, gradient = slope(u, target)
     gradient = gradient / cost
     return cost, jnp.where(jnp.isfinite(gradient), gradient, 0.0)

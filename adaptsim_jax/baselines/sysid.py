@@ -15,6 +15,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
+from jax import Array
 
 from adaptsim_jax.baselines import mdn
 from adaptsim_jax.core.errors import BadInput, check_counts
@@ -79,10 +80,10 @@ class SysIdState(NamedTuple):
     """
 
     dist: Gaussian
-    policy: jax.Array
+    policy: Array
     variables: dict
-    collected: jax.Array
-    count: jax.Array
+    collected: Array
+    count: Array
 
 
 def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
@@ -90,7 +91,7 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
     the start at the centre), pure: jit it, and vmap it over keys and targets.
     """
 
-    def adapt(key: jax.Array, target: jax.Array) -> jax.Array:
+    def adapt(key: Array, target: Array) -> Array:
         start_key, first_key, rest_key = jax.random.split(key, 3)
         begun = start(start_key, task, estimator, config)
         first = _iterate(first_key, begun, target, task, estimator, config, config.first_fit)
@@ -106,7 +107,7 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
     return adapt
 
 
-def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
+def start(key: Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
     """Before any data of the target: E at the centre of Omega, a policy trained there."""
     policy_key, train_key, net_key = jax.random.split(key, 3)
     state = untrained(net_key, policy_key, task, estimator, config)
@@ -132,9 +133,7 @@ def _iterate(key, state, target, task, estimator, config, fit_config) -> SysIdSt
     return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy))
 
 
-def infer(
-    keys, state: SysIdState, real: jax.Array, task, estimator, config, fit_config
-) -> SysIdState:
+def infer(keys, state: SysIdState, real: Array, task, estimator, config, fit_config) -> SysIdState:
     """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was;
     `keys [3]`.
     """
@@ -161,9 +160,7 @@ def infer(
     return SysIdState(dist, state.policy, variables, collected, state.count + 1)
 
 
-def simulate(
-    key: jax.Array, task: Task, policy, config: SysIdConfig
-) -> tuple[jax.Array, jax.Array]:
+def simulate(key: Array, task: Task, policy, config: SysIdConfig) -> tuple[Array, Array]:
     """Observations `[n, obs]` of one policy at parameters `[n, D]` (unit coordinates) drawn
     uniformly from Omega.
     """
@@ -177,9 +174,7 @@ def simulate(
     return jax.vmap(observe)(jnp.resize(keys, (config.simulations,)), u), u
 
 
-def within_omega(
-    draws: jax.Array, marked: jax.Array, least_std: float
-) -> tuple[Gaussian, jax.Array]:
+def within_omega(draws: Array, marked: Array, least_std: float) -> tuple[Gaussian, Array]:
     """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `marked [I]`; also
     the share inside Omega.
 
@@ -204,13 +199,13 @@ def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Full-covariance mixture over unit coordinates; infers by drawing from it."""
     network: Any = mdn.MixtureNetwork(dim, config.components, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> Any:
+    def init(key: Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
-    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+    def loss(variables: dict, x: Array, u: Array) -> Array:
         return -mdn.log_prob(network.apply(variables, x), u)
 
-    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+    def infer(key: Array, variables: dict, x: Array) -> Array:
         return mdn.sample(key, network.apply(variables, x), config.draws)
 
     return Estimator(init, loss, infer)
@@ -230,7 +225,7 @@ class PointNetwork(nn.Module):
     hidden: tuple[int, ...] = (128, 128)
 
     @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
+    def __call__(self, x: Array) -> Array:
         for width in self.hidden:
             x = nn.tanh(nn.Dense(width)(x))
         return nn.sigmoid(nn.Dense(self.dim)(x))
@@ -240,13 +235,13 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Smooth-L1 regression; infers the one point that it regresses to."""
     network: Any = PointNetwork(dim, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> Any:
+    def init(key: Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
-    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+    def loss(variables: dict, x: Array, u: Array) -> Array:
         return jnp.mean(optax.huber_loss(network.apply(variables, x), u, delta=1.0))
 
-    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+    def infer(key: Array, variables: dict, x: Array) -> Array:
         del key
         return network.apply(variables, x)[None]
 

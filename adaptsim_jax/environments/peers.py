@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core.config import Table, suggest
 from adaptsim_jax.core.errors import BadInput, one_line
@@ -120,10 +121,10 @@ class GymnaxMoment(NamedTuple):
     """gymnax's own state, and what its last step gave."""
 
     state: Any
-    key: jax.Array
-    obs: jax.Array
-    reward: jax.Array
-    done: jax.Array
+    key: Array
+    obs: Array
+    reward: Array
+    done: Array
 
 
 def from_gymnax(env: Any, params: Any, length: int = 0) -> SimulatedTask:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from adaptsim_jax.core.config import Table
-from adaptsim_jax.space import Gaussian, Parameter, Space
+from adaptsim_jax.space import Parameter, Space
 
 if TYPE_CHECKING:
     from adaptsim_jax.report.film import Scene
@@ -70,29 +70,23 @@ class Task:
     settings: Mapping[
         str, Mapping[str, float]
     ]  # named targets: wd, ood-1 .. ood-4 (paper, table A2)
-    init_policy: Callable[[Array], Policy]  # (key) -> policy
-    train: Callable[[Array, Gaussian, Policy], Policy]  # (key, dist, policy) -> policy
-    rollout: Callable[[Array, Policy, Array], Trajectory]  # (key, policy, params [D]) -> trajectory
-    observe: Callable[[Trajectory], Array]  # trajectory -> [obs_dim]
-    score: Callable[
-        [Trajectory], Array
-    ]  # -> [], the raw return; higher is better; all that a real target can tell
-    reference: Callable[
-        [Array], Reference
-    ]  # (params [D]) -> what rewards in this simulated target are scaled with
-    reward: Callable[
-        [Trajectory, Reference], Array
-    ]  # -> [], at most 1; in [0, 1] where the policy is of any use
+    init_policy: Callable  # (key) -> policy
+    train: Callable  # (key, dist, policy) -> policy
+    rollout: Callable  # (key, policy, params [D]) -> trajectory
+    observe: Callable  # (trajectory) -> [obs_dim]
+    score: Callable  # (trajectory) -> [], the raw return; higher is better; all a real target tells
+    reference: Callable  # (params [D]) -> what rewards in this simulated target are scaled with
+    reward: Callable  # (trajectory, reference) -> [], at most 1; above 0 where a policy is of use
     # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once,
     # each with a budget of its own. None where training is too cheap to be worth sharing; see
     # `adaptation.reuse`.
-    train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
+    train_many: Callable | None = None
     # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1
     # to learn from; None: `rollout`.
-    rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
+    rehearse: Callable | None = None
     # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`;
     # None where there is none
-    pretrain: Callable[[Array], Policy] | None = None
+    pretrain: Callable | None = None
     # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is
     # chosen by smoothed returns
     doubt: float = 0.0
@@ -105,9 +99,9 @@ class Task:
     # has more than parameters of Omega; None: `params` say it all
     world: Callable[[str | Path], Task] | None = None
     # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
-    act: Callable[[Policy, Array], Array] | None = None
+    act: Callable | None = None
     # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs
-    read: Callable[[Any, Any, Any], Trajectory] | None = None
+    read: Callable | None = None
 
 
 @cache

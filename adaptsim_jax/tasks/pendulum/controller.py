@@ -17,6 +17,7 @@ from pathlib import Path
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.config import Table
@@ -118,7 +119,7 @@ class TrainedLaw:
     def __init__(self, world: MendedWorld, policy: MendedPolicy):
         self.world, self.policy = world, policy
 
-    def law(self, y, past, t) -> jax.Array:
+    def law(self, y, past, t) -> Array:
         """Torque `[2]` N m for what the sensors say `[4]` and the own past commands `[H, 2]`."""
         rows = self.world.history
         if past.shape[0] >= rows:
@@ -135,7 +136,7 @@ def trained_policy(given: ModelFile) -> TrainedLaw:
     return TrainedLaw(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
 
 
-def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
+def cost_in(target: ModelFile, law: Law, history: int) -> Array:
     """Cost `[]` of a law in a model that stands for the target."""
     world = make_world(target, history=history)
     theta, eff = _point(target, world)
@@ -149,6 +150,6 @@ def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
     return run(theta, eff)
 
 
-def _point(given: ModelFile, world: MendedWorld) -> tuple[jax.Array, jax.Array]:
+def _point(given: ModelFile, world: MendedWorld) -> tuple[Array, Array]:
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     return theta, jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)

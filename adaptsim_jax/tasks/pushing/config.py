@@ -5,7 +5,7 @@ trajectories are made of.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-import jax
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
@@ -111,9 +111,9 @@ class PushingPolicy(NamedTuple):
         by, where there are any (else None).
     """
 
-    weights: jax.Array
-    tilt: jax.Array | None = None
-    at: jax.Array | None = None
+    weights: Array
+    tilt: Array | None = None
+    at: Array | None = None
     told: PushRecord | None = None
 
 
@@ -124,11 +124,11 @@ class PushingTrajectory(NamedTuple):
     simulated at the mean of E, where they are observed (else None).
     """
 
-    goals: jax.Array
-    points: jax.Array
-    rewards: jax.Array
-    tested: jax.Array
-    expected: jax.Array | None = None
+    goals: Array
+    points: Array
+    rewards: Array
+    tested: Array
+    expected: Array | None = None
 
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:

@@ -13,6 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
@@ -141,13 +142,11 @@ def pushing_world(
     return TargetWorld(backend, run, dict(model.MESSAGES))
 
 
-def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
+def _reward(points: Array, goal: Array) -> Array:
     return task.push_reward(points[-1], goal)
 
 
-def _remember(
-    policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array
-) -> PushingPolicy:
+def _remember(policy: PushingPolicy, actions: Array, points: Array, used: Array) -> PushingPolicy:
     places = points[:, -1]
     return policy._replace(told=PushRecord(actions, places, used & jnp.isfinite(places).all(-1)))
 
@@ -182,7 +181,7 @@ def as_deployed(config: PushingConfig, result: Any, target: Any) -> Any:
 
 
 def deployed(
-    history: Episode, target: jax.Array, config: PushingConfig
+    history: Episode, target: Array, config: PushingConfig
 ) -> tuple[PushingPolicy, PushRecord]:
     """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the
     pushes that all N starts made before its iteration; and all of these pushes. Those that failed
@@ -216,7 +215,7 @@ def deployed(
     return history.policy._replace(told=trials), every
 
 
-def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) -> jax.Array:
+def tested(policies: PushingPolicy, target: Array, config: PushingConfig) -> Array:
     """Mean rewards `[N]` of `policies [N]` over the test goals in `target [D]` (physical). Pure."""
     grid, act, end = (
         task.goal_lattice(config.tests),
@@ -228,7 +227,7 @@ def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) ->
     )
 
 
-def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.Array]:
+def _end(target: Array, config: PushingConfig) -> Callable[[Array], Array]:
     simulate = make_simulator(config)
     return lambda action: simulate(target, action)[-1]
 
@@ -236,7 +235,7 @@ def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.
 DRAWN = 8  # goals in each part of the sector that one is taken of
 
 
-def make_aims(config: PushingConfig) -> Callable[[jax.Array, PushingPolicy], jax.Array]:
+def make_aims(config: PushingConfig) -> Callable[[Array, PushingPolicy], Array]:
     """`aims(key, policy) -> [trajectories, 2]` m, the goals of an iteration's pushes in a target.
     Pure.
 

@@ -5,7 +5,7 @@ trajectories are made of.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-import jax
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
@@ -84,10 +84,10 @@ class ScoopingPolicy(NamedTuple):
     scoop of a visit tries instead (`deployed.make_probe`), if anything.
     """
 
-    weights: jax.Array
-    at: jax.Array | None = None
+    weights: Array
+    at: Array | None = None
     told: ScoopRecord | None = None
-    probe: jax.Array | None = None
+    probe: Array | None = None
 
 
 class ScoopingTrajectory(NamedTuple):
@@ -96,9 +96,9 @@ class ScoopingTrajectory(NamedTuple):
     of `success`).
     """
 
-    points: jax.Array
-    success: jax.Array
-    tested: jax.Array
+    points: Array
+    success: Array
+    tested: Array
 
 
 def scooping_space(config: ScoopingConfig = ScoopingConfig()) -> Space:

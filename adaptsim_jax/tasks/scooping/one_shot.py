@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
@@ -133,13 +134,13 @@ def best_shared_action(world: TargetWorld, params: np.ndarray, tests: np.ndarray
     return rewards[rewards.mean(1).argmax()]
 
 
-def _own_score(trajectory: ScoopingTrajectory) -> jax.Array:
+def _own_score(trajectory: ScoopingTrajectory) -> Array:
     """The return of the policy's own scoops: the last was a probe's."""
     return trajectory.success[:-1].mean()
 
 
 def _remember(
-    policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array
+    policy: ScoopingPolicy, actions: Array, outcomes: Array, used: Array
 ) -> ScoopingPolicy:
     return policy._replace(told=ScoopRecord(actions, task.success(outcomes), used))
 
