@@ -18,11 +18,12 @@ from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, archive_size, ma
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 from adaptsim_jax.adaptation.training import learned
+from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
-from adaptsim_jax.tasks.registry import make_task
+from adaptsim_jax.tasks.registry import TASKS, make_task
 
 SAVING = 0.05  # of the time, at most, goes into checkpoints
 
@@ -127,31 +128,18 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
 
 
 def _judge(task: str, options: Table) -> Callable:
-    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed,
-    corrected.
+    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`, as the task deploys its
+    policies.
     """
-
-    def plain(result, target):
-        return (result.reward, result.history.reward)
-
-    if task != "pushing":
-        return plain
-    from adaptsim_jax.core import config
-    from adaptsim_jax.tasks.pushing import one_shot as after
-    from adaptsim_jax.tasks.pushing.config import PushingConfig
-
-    made = config.from_table(PushingConfig, options, "task")
-    if not made.correct or not made.show_goal:
-        return plain
+    kind = TASKS[task]
+    face, made = kind.adapt, None
+    if face is not None:
+        made = configs.from_table(kind.config, options, "task")
 
     def judge(result, target):
-        policies, every = after.deployed(result.history, target, made)
-        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
-        best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
-        rewards = after.tested(
-            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best), target, made
-        )
-        return rewards[-1], rewards[:-1].reshape(result.history.reward.shape)
+        if face is not None:
+            result = face.deployed(made, result, target)
+        return result.reward, result.history.reward
 
     return judge
 
