@@ -272,7 +272,7 @@ class ReturnSlope(NamedTuple):
     window: int
 
 
-def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) -> Callable:
+def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable) -> Callable:
     """`slope(keys [N], mean [D], values [F], *more) -> ReturnSlope`: over N starts, with the
     longest window whose derivatives do not explode.
 

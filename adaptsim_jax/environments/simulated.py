@@ -55,7 +55,7 @@ class SimulatedTask:
     length: int
     dt: float
     reset: Callable[[Any, Array], Any]  # (model, key) -> state
-    step: Callable[..., Any]  # (model, state, action [A], physics=None) -> state
+    step: Callable  # (model, state, action [A], physics=None) -> state
     # state -> obs [O], reward [], done [] (float)
     observed: Callable[[Any], tuple[Array, Array, Array]]
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none

@@ -28,7 +28,7 @@ from adaptsim_jax.learners.replay import Transition
 # arrays.
 
 
-def flat(network: nn.Module, obs_dim: int) -> tuple[Callable[[Array], Array], Callable[..., Any]]:
+def flat(network: nn.Module, obs_dim: int) -> tuple[Callable[[Array], Array], Callable]:
     """`init(key) -> weights [n]` and `apply(weights, obs [..., obs_dim])` of a network."""
     example = jnp.zeros((1, obs_dim))
     # shapes only: running the initialisation here would compile it operation by operation

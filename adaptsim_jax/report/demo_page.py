@@ -29,7 +29,7 @@ SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
 
 
-def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
+def learning_curves(metrics: Sequence[Sequence[Mapping]]) -> Figure:
     """Mean reward that is learned from, a line for each run's `metrics.jsonl`.
 
     It lies in [0, 1]. The task's own reward has no lower end, and a few hopeless starts would hide
@@ -48,7 +48,7 @@ def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
     return figure
 
 
-def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> Figure:
+def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping]) -> Figure:
     """The paper's figure 5: the best policy's parameters of each seed on the map of what could be
     earned.
     """
@@ -158,7 +158,7 @@ def parameter_rows(tour: Any) -> list[Table]:
     ]
 
 
-def method_rows(results: Mapping[str, Any]) -> list[Table]:
+def method_rows(results: Mapping) -> list[Table]:
     """The comparison table, a row a method."""
     return [
         {
@@ -182,7 +182,7 @@ def _reward(value: float | None) -> str:
     return fmt.fixed(value, 2)
 
 
-def diagnosis_words(report: Mapping[str, Any]) -> Table:
+def diagnosis_words(report: Mapping) -> Table:
     """The diagnosis in a few words: verdict, headline, message, error before and after."""
     error = report["error"]
     mended = bool(report["effects"])

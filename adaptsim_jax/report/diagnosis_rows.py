@@ -61,7 +61,7 @@ def _parameter_row(effect: Mapping, name: str, p: Mapping) -> Table:
     }
 
 
-def _held(name: str, p: Mapping[str, Any]) -> str:
+def _held(name: str, p: Mapping) -> str:
     """A parameter that was chosen, not fitted."""
     meaning = p.get("meaning")
     return name.replace("_", " ") + (f" ({meaning})" if meaning else "")
@@ -171,7 +171,7 @@ NAMES = {
 }
 
 
-def why_judge(report: Mapping[str, Any]) -> str:
+def why_judge(report: Mapping) -> str:
     """Which yardstick judged, and why."""
     reported = report.get("yardsticks") or {}
     judge: str = reported.get("judge") or ""
@@ -180,5 +180,5 @@ def why_judge(report: Mapping[str, Any]) -> str:
     return ""
 
 
-def _span(reported: Mapping[str, Any], judge: Any) -> float:
+def _span(reported: Mapping, judge: Any) -> float:
     return float(((reported.get("declared") or {}).get(judge) or {}).get("span_s") or 0.0)

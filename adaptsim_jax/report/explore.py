@@ -72,7 +72,7 @@ class Plot:
 class View:
     """What one choice shows: a figure for each plot, and a line of text under the selectors."""
 
-    figures: Sequence[Mapping[str, Any]]
+    figures: Sequence[Mapping]
     note: str = ""
 
 
@@ -112,12 +112,12 @@ def explorer(
 # ---------------------------------------------------------------- figures as Plotly has them
 
 
-def line(name: str, x: Any, y: Any, style: Mapping[str, Any], **more: Any) -> Table:
+def line(name: str, x: Any, y: Any, style: Mapping, **more: Any) -> Table:
     """A trace of lines; `more` is Plotly's."""
     return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style} | more
 
 
-def dots(name: str, x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> Table:
+def dots(name: str, x: Any, y: Any, marker: Mapping, **more: Any) -> Table:
     """A trace of markers that stands in no legend; `more` is Plotly's."""
     trace = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": marker}
     return trace | {"showlegend": False} | more

@@ -143,7 +143,7 @@ def _limits(axis: Axis, values: np.ndarray, target: float | None) -> tuple[float
     return every.min() - margin, every.max() + margin
 
 
-def parameters_found(results: Mapping[str, Any], axes: Sequence[Axis]) -> Figure:
+def parameters_found(results: Mapping, axes: Sequence[Axis]) -> Figure:
     """Where each method's best policy was trained, a seed a dot: a row a setting, a column a
     parameter.
 

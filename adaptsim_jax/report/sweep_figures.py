@@ -36,7 +36,7 @@ MOST_ROUNDS = 400
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "pentagon", "star")
 
 
-def earned(row: Mapping[str, Any], name: str) -> float | None:
+def earned(row: Mapping, name: str) -> float | None:
     """What a finished member earned in training or in a target; None where it has no reward
     there.
     """
@@ -58,9 +58,9 @@ def interval(values: list[float]) -> Table:
     return {"mean": mean, "half": half, "count": count}
 
 
-def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+def groups(found: Mapping) -> dict[str, list[Mapping]]:
     """Finished members by their combination of values, in words."""
-    rows: dict[str, list[Mapping[str, Any]]] = {}
+    rows: dict[str, list[Mapping]] = {}
     last = [
         key.rsplit(".", 1)[-1] for key in found["swept"]
     ]  # a legend has no room for the tables that a key is in
@@ -85,11 +85,11 @@ class SweptRewards(NamedTuple):
     values: list[Any]
     numbers: bool
     log: bool
-    lines: dict[str, list[Mapping[str, Any]]]
+    lines: dict[str, list[Mapping]]
     note: str
 
 
-def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
+def swept_rewards(found: Mapping, key: str) -> SweptRewards:
     """Of one swept key."""
     rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
@@ -98,7 +98,7 @@ def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
         values = sorted(values)
     log = numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
     order = [repr(v) for v in values]
-    lines: dict[str, list[Mapping[str, Any]]] = {}
+    lines: dict[str, list[Mapping]] = {}
     for row in sorted(rows, key=lambda r: order.index(repr(r["value"]))):
         lines.setdefault(row["reward"], []).append(row)
     lines = {name: lines[name] for name in look.distinct(rows, "reward")}
@@ -106,7 +106,7 @@ def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
     return SweptRewards(values, numeric, log, lines, f"95 % intervals over {fewest} {over}")
 
 
-def over_values(found: Mapping[str, Any]) -> str:
+def over_values(found: Mapping) -> str:
     """Mean rewards over the values of each swept key with 95 % intervals, a line a reward. Empty
     where nothing was swept.
     """
@@ -147,7 +147,7 @@ def _over(swept: SweptRewards, key: str) -> Table:
     return figure(data, across, axis("reward"), hovermode="x unified")
 
 
-def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+def curves(members: Mapping[str, Sequence[Mapping]]) -> str:
     """Rewards of Phase 1 over rounds: medians of the best combinations together, then each
     combination's seeds.
     """
@@ -181,7 +181,7 @@ def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     )
 
 
-def _matrix(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+def _matrix(rows: Sequence[Mapping]) -> np.ndarray:
     """Curves `[members, rounds]`, to the shortest."""
     some = [row["curve"] for row in rows if row.get("curve")]
     length = min(map(len, some), default=0)

@@ -20,7 +20,7 @@ MOST_MEMBERS = 1000
 """Rows of the table of members; results.csv has them all."""
 
 
-def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
+def write_sweep_page(found: Mapping, out: Path) -> Path:
     """Write the page of `results.json` into the sweep's folder, whole or not at all. Raises
     BadInput where it cannot.
     """
@@ -28,7 +28,7 @@ def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
     return out / "report.html"
 
 
-def render(found: Mapping[str, Any]) -> str:
+def render(found: Mapping) -> str:
     """The page as text, of a sweep that is finished or still runs."""
     rewards = [TRAINING, *found["spec"]["targets"]]
     groups = sweep_figures.groups(found)

@@ -50,7 +50,7 @@ class Preparation(NamedTuple):
     """
 
     blank: Callable[[Array], Any]
-    make: Callable[..., Any]
+    make: Callable
     ready: Callable[[Any], Task]
     digest: Callable[[], str]
 
@@ -228,7 +228,7 @@ class SessionTrials(NamedTuple):
     head: str
     rows: Callable[[Table], list[tuple]]
     options: tuple[str, ...]
-    assemble: Callable[..., Any]
+    assemble: Callable
 
 
 class RobotFace:

@@ -159,7 +159,7 @@ def naf_policies(
     policy: Callable[[jax.Array], Any],
     observed: Callable[[jax.Array], jax.Array],
     trials: Callable[[Any, jax.Array, Any], Trials],
-) -> dict[str, Callable[..., Any]]:
+) -> dict[str, Callable]:
     """The fields `act`, `explore`, `train_uniform` and `tune` of `OneShot`.
 
     learner: Trained over all of Omega. budget: Trials of one policy; `policy(weights [n])`: the

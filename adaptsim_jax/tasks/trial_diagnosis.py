@@ -34,7 +34,7 @@ class Diagnose:
 
     trial: str
     recording: type
-    read: Callable[..., Any]
+    read: Callable
     effects: Callable[[Any], tuple[Effect, ...]]
     assess: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria

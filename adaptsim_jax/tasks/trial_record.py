@@ -191,7 +191,7 @@ def read_meta(path: Path, keys: Sequence[str]) -> Table:
 def read_folder(
     folder: str | Path,
     keys: Sequence[str],
-    assemble: Callable[..., Any],
+    assemble: Callable,
     as_declared: bool,
     without: Sequence[str],
 ) -> Any:
