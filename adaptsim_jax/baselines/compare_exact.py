@@ -16,7 +16,6 @@ from adaptsim_jax.baselines.arena import MethodRun, Visits
 from adaptsim_jax.baselines.bounds import (
     Best,
     ExactProblem,
-    Udr,
     best_in_omega,
     costs,
     discrepancy,
@@ -37,7 +36,6 @@ class Bounds(NamedTuple):
     optimal policy.
     """
 
-    udr: Udr
     best: Best
     lower: np.ndarray
     upper: np.ndarray
@@ -129,7 +127,7 @@ def find_bounds(problem: ExactProblem, targets: np.ndarray) -> Bounds:
             "compare: UDR is no worse than the best policy of Omega in a target, so rewards "
             "cannot be normalised; widen Omega"
         )
-    return Bounds(policy, best, lower, best.cost, own)
+    return Bounds(best, lower, best.cost, own)
 
 
 def visiting_rows(

@@ -43,17 +43,13 @@ def run(args: argparse.Namespace) -> int:
     rows = costs() if args.costs else iter(())
     if args.json:
         print(json.dumps(found | ({"costs": list(rows)} if args.costs else {}), indent=1))
-        if found["faults"]:
-            return 1
-        return 0
+        return int(bool(found["faults"]))
     show(found)
     for row in rows:
         print(cost_line(row), flush=True)
     if not found["faults"]:
         next_step("demo    the tour, a few minutes")
-    if found["faults"]:
-        return 1
-    return 0
+    return int(bool(found["faults"]))
 
 
 # ---------------------------------------------------------------- what works

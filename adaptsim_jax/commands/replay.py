@@ -203,18 +203,11 @@ def _measured(name: str, measure: dict, box):
 
     from adaptsim_jax.report.diagnosis_format import quantity
 
-    torque = name == "torque"
-    if torque:
-        keys = ("missing", "torque", "constant")
-    else:
-        keys = ("error", "straight_line", "hold_still")
-    if torque:
-        words = ("missing", "torque", "about its mean")
-    else:
-        words = ("error", "straight line", "still")
-    if torque:
+    if name == "torque":
+        keys, words = ("missing", "torque", "constant"), ("missing", "torque", "about its mean")
         what = "torque along the measured motion"
     else:
+        keys, words = ("error", "straight_line", "hold_still"), ("error", "straight line", "still")
         what = f"whole trials, {measure['span_s']:.3g} s"
     table = Table(
         "",

@@ -12,6 +12,9 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
+import jax
+import numpy as np
+
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.space import Parameter, Space
 
@@ -143,22 +146,16 @@ class AdaptView(NamedTuple):
 
     def of_start(self, leaf: Any) -> Any:
         """`leaf [N, I + 1, ...]` of the history, at the start."""
-        import numpy as np
-
         return np.asarray(leaf)[self.start]
 
     @property
     def policies(self) -> Any:
         """Of the start's visits `[I + 1]`."""
-        import jax
-
         return jax.tree.map(lambda x: x[self.start], self.result.history.policy)
 
     @property
     def params(self) -> Any:
         """Parameters `[I + 1, D]` that the start's visits were trained at, physical."""
-        import numpy as np
-
         return np.asarray(self.task.space.physical(self.result.history.mean[self.start]))
 
     def picked(self, count: int) -> tuple[list[int], list[str]]:
@@ -168,8 +165,6 @@ class AdaptView(NamedTuple):
 
     def trials_reported(self) -> int | None:
         """How many trials the deployed policy is corrected by; None where it is not."""
-        import numpy as np
-
         reported = getattr(self.result.policy, "told", None)
         if reported is None:
             return None
@@ -180,8 +175,6 @@ def picked(count: int, best: int) -> list[int]:
     """The first, the last and evenly between them; the best takes the place of the one nearest to
     it.
     """
-    import numpy as np
-
     shown = sorted({round(i) for i in np.linspace(0, count - 1, min(COLUMNS, count))})
     if best not in shown:
         last = len(shown) - 1
