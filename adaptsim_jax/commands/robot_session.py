@@ -63,9 +63,11 @@ def located(folder: Path, moved: str | None = None) -> Table:
     for name, kind in {
         "schema": int,
         "run": str,
+        "run_from_here": str,
         "seed": int,
         "starts": int,
         "iterations": int,
+        "trained": dict,
     }.items():
         if type(table.get(name)) is not kind:
             raise BadInput(
@@ -74,10 +76,10 @@ def located(folder: Path, moved: str | None = None) -> Table:
             )
     run_folder = table["run"]
     if moved is not None:
-        return table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
+        return table | places(str(Path(moved).resolve()), folder)
     if not Path(run_folder).is_dir():
-        near = folder / str(table.get("run_from_here", ""))
-        if "run_from_here" not in table or not near.is_dir():
+        near = folder / table["run_from_here"]
+        if not near.is_dir():
             raise BadInput(
                 f"{run_folder}: no such run folder, which the session in {folder} goes by; if it "
                 f"was moved, say where it is: adaptsim robot next --dir {folder} --run RUN"
@@ -93,11 +95,6 @@ def places(run: str, folder: Path) -> dict[str, str]:
     import os
 
     return {"run": run, "run_from_here": os.path.relpath(run, folder.resolve())}
-
-
-def _was(table: Table) -> str:
-    """The run's path when the session began, which older checkpoints are bound to."""
-    return str(table.get("was", table["run"]))
 
 
 def run_of(path: str) -> RunFolder:
@@ -126,18 +123,15 @@ def identity(run: RunFolder) -> Table:
 
 
 def _check_same(run: RunFolder, table: Table, folder: Path) -> None:
-    """BadInput where the run's checkpoint is not the one that the session began with. Older
-    sessions do not say which it was.
-    """
+    """BadInput where the run's checkpoint is not the one that the session began with."""
     from adaptsim_jax.core.errors import BadInput
 
-    began, now = table.get("trained"), identity(run)
-    if began is not None and began != now:
-        was = began.get("step") if isinstance(began, dict) else began
+    began, now = table["trained"], identity(run)
+    if began != now:
         raise BadInput(
             f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint "
-            f"of round {was} then, another of round {now['step']} now); put that checkpoint back, "
-            "or start another session with 'adaptsim robot new'"
+            f"of round {began.get('step')} then, another of round {now['step']} now); put that "
+            "checkpoint back, or start another session with 'adaptsim robot new'"
         )
 
 
@@ -162,9 +156,7 @@ def _bound(table: Table) -> str:
     """Hash of what a session's checkpoints are bound to: all but where things are."""
     from adaptsim_jax.core import config
 
-    return config.digest(
-        {name: value for name, value in table.items() if name not in (*PLACES, "was")}
-    )
+    return config.digest({name: value for name, value in table.items() if name not in PLACES})
 
 
 def save(
@@ -188,17 +180,12 @@ def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[T
     import jax.numpy as jnp
 
     from adaptsim_jax.adaptation.phase1 import DistributionArchive
-    from adaptsim_jax.core import config, store
+    from adaptsim_jax.core import store
     from adaptsim_jax.core.errors import BadInput
 
     task = session.trained.phase1.task
     folder = folder or session.folder / store.CHECKPOINT
-    older = {name: v for name, v in session.table.items() if name not in ("run_from_here", "was")}
-    older["run"] = _was(session.table)
-    if store.read_manifest(folder)["config_hash"] not in (
-        _bound(session.table),
-        config.digest(older),
-    ):
+    if store.read_manifest(folder)["config_hash"] != _bound(session.table):
         raise BadInput(
             f"{session.folder / SESSION}: was changed since the session began; restore the file"
         )
