@@ -19,7 +19,7 @@ from adaptsim_jax.adaptation.training import (
 )
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
-from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief
+from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief, check_counts
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import TASKS, make_task
 
@@ -64,8 +64,7 @@ def _spec(table: Table, lines: Lines, path: str) -> SweepSpec:
     with lines.blamed("task"):
         configs.pick("task", spec.task, TASKS)
     for name in ("starts", "iterations"):
-        if getattr(spec, name) < 1:
-            raise BadInput(f"{lines.where(name)}: {name} = {getattr(spec, name)}: give at least 1")
+        check_counts(spec, (name,), f"{lines.where(name)}: ")
     if spec.random.count < 0 or (spec.random.count == 0) != (not spec.random.values):
         raise BadInput(
             f"{lines.where('random')}: random needs count, at least 1, and [random.values] with a "

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from jax import Array
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
@@ -153,9 +153,7 @@ def naf_rates(config: PushingConfig, tuning: bool = False) -> NAFHyper:
 
 
 def checked(config: PushingConfig) -> PushOptions:
-    for name in ("trajectories", "tests", "trials"):
-        if getattr(config, name) < 1:
-            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
+    check_counts(config, ("trajectories", "tests", "trials"), "pushing, ")
     for name in ("learning_rate", "tuning_rate"):
         if getattr(config, name) <= 0:
             raise BadInput(

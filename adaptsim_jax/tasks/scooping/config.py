@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 from jax import Array
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.space import Space
@@ -123,9 +123,7 @@ def naf_rates(config: ScoopingConfig) -> NAFHyper:
 
 def checked(config: ScoopingConfig) -> ScoopOptions:
     """The engine's options, if the config makes sense; BadInput names the key otherwise."""
-    for name in ("trajectories", "tests", "trials", "lucks"):
-        if getattr(config, name) < 1:
-            raise BadInput(f"scooping, {name} = {getattr(config, name)}: give at least 1")
+    check_counts(config, ("trajectories", "tests", "trials", "lucks"), "scooping, ")
     if config.fresh < 0:
         raise BadInput(f"scooping, fresh = {config.fresh}: give 0 for none, or more, such as 96")
     if config.checks < 0:
