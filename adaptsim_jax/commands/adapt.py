@@ -20,31 +20,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
-    parser.add_argument(
-        "--target",
-        required=True,
-        metavar="T",
-        help="wd, ood-1 .. ood-4, a TOML file, or a model.toml",
-    )
-    parser.add_argument(
-        "--starts", type=positive, default=2, metavar="N", help="initial distributions (2)"
-    )
-    parser.add_argument(
-        "--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)"
-    )
-    parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
-    parser.add_argument("--json", action="store_true", help="print result.json")
-    parser.add_argument(
-        "--video",
-        action="store_true",
-        help="pushing, scooping, environments: a film too (mp4 with the extra [video], else gif)",
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """Phase 2 of a trained run: result.json, and a few lines for a person."""
     from adaptsim_jax.core.errors import BadInput

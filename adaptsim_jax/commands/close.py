@@ -24,27 +24,6 @@ METHODS = ("nominal", "udr", "adaptsim")
 WORLDS = ("declared", "mended")
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive, settable
-
-    parser.add_argument(
-        "logs", metavar="LOGS", help="recordings of the robot, as diagnose has them"
-    )
-    parser.add_argument(
-        "task", metavar="ENV", help="an env.toml of the same robot, with its targets"
-    )
-    parser.add_argument("--out", required=True, metavar="DIR", help="the folder to write")
-    parser.add_argument("--model", metavar="FILE", help="the declared model, as diagnose has it")
-    parser.add_argument(
-        "--trials", type=positive, default=10, metavar="N", help="target trials of each (10)"
-    )
-    parser.add_argument(
-        "--seeds", type=positive, default=3, metavar="N", help="seeds of each policy (3)"
-    )
-    parser.add_argument("--json", action="store_true", help="print result.json")
-    settable(parser, ", of both comparisons")
-
-
 def run(args: argparse.Namespace) -> int:
     """All stages, then what they come to."""
     from adaptsim_jax.commands.parser import output, print_file

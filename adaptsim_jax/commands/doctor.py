@@ -28,13 +28,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument(
-        "--costs", action="store_true", help="measure what a trajectory costs in each engine, too"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
     from adaptsim_jax.commands.parser import next_step

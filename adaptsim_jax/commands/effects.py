@@ -21,19 +21,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "task",
-        nargs="?",
-        default="pendulum",
-        metavar="TASK",
-        help="pendulum (default), mechanism, pushing, scooping, toss",
-    )
-    parser.add_argument("--name", metavar="EFFECT", help="all about one effect")
-    parser.add_argument("--brief", action="store_true", help="a line for each")
-    parser.add_argument("--json", action="store_true", help="print JSON")
-
-
 def run(args: argparse.Namespace) -> int:
     """List the catalogue of a task."""
     from adaptsim_jax.commands.parser import next_step

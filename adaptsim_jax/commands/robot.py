@@ -30,40 +30,6 @@ policy, that has no return and its start is given up; pushes and scoops that fai
 STEPS = ("new", "next", "record", "undo")
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument("step", metavar="new|next|record|undo", help="start, ask, tell, take back")
-    parser.add_argument(
-        "what", nargs="?", metavar="RUN|FILE", help="new: a trained run; record: a CSV or npz"
-    )
-    parser.add_argument(
-        "--dir", required=True, metavar="DIR", help="where the state is kept between calls"
-    )
-    parser.add_argument(
-        "--failed", action="store_true", help="record: the robot could not finish; no FILE"
-    )
-    parser.add_argument(
-        "--as-declared",
-        action="store_true",
-        help="record: take frame and units as declared, though the tracks contradict them",
-    )
-    parser.add_argument(
-        "--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved"
-    )
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="one JSON object on stdout; what is for people on stderr",
-    )
-    parser.add_argument(
-        "--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)"
-    )
-    parser.add_argument(
-        "--iterations", type=positive, default=10, metavar="I", help="new: adaptation steps (10)"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """One step of ask/tell adaptation."""
     import contextlib

@@ -30,55 +30,6 @@ SPEC.toml, for instance:
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument(
-        "words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show"
-    )
-    parser.add_argument("--out", metavar="DIR", help="the folder to write")
-    parser.add_argument("--resume", action="store_true", help="go on with a sweep that was stopped")
-    parser.add_argument(
-        "--estimate", action="store_true", help="say what would be run and the memory it takes"
-    )
-    parser.add_argument(
-        "--at-once", type=positive, metavar="N", help="members side by side (default: what fits)"
-    )
-    parser.add_argument(
-        "--devices",
-        type=positive,
-        metavar="N",
-        help="devices of this machine; on CPUs N groups of cores (default: a core each)",
-    )
-    parser.add_argument(
-        "--save-every",
-        type=float,
-        default=30.0,
-        metavar="S",
-        help="seconds between checkpoints (30)",
-    )
-    parser.add_argument("--json", action="store_true", help="print results.json")
-    many = parser.add_argument_group("many machines (docs/sweeps.md)")
-    many.add_argument(
-        "--ray",
-        nargs="?",
-        const="",
-        metavar="ADDRESS",
-        help="share batches out by Ray (extra [cluster])",
-    )
-    many.add_argument(
-        "--hosts",
-        metavar="slurm | HOST:PORT",
-        help="one program over hosts; HOST:PORT is the first one's",
-    )
-    many.add_argument(
-        "--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs"
-    )
-    many.add_argument(
-        "--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """Run, resume or show a sweep."""
     from adaptsim_jax.core.errors import BadInput

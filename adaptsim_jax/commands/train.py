@@ -24,29 +24,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import of_diagnosis, settable
-
-    parser.add_argument(
-        "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
-    )
-    parser.add_argument(
-        "--run", dest="folder", required=True, metavar="DIR", help="the run folder to write"
-    )
-    parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
-    parser.add_argument(
-        "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
-    )
-    of_diagnosis(parser)
-    start = parser.add_mutually_exclusive_group()
-    start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    names = (
-        "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
-    )
-    start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
-    settable(parser)
-
-
 def run(args: argparse.Namespace) -> int:
     """Phase 1 into a run folder."""
     from adaptsim_jax.commands.parser import task_word
