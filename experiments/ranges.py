@@ -140,7 +140,7 @@ def sysid_over_ranges(
     def run(offset, seed):
         return make(shifted(offset), config)(
             jax.random.key(seed), jnp.asarray(target, jnp.float32)
-        ).means[None]
+        )[None]
 
     return _each(run, offsets, seeds, report)
 

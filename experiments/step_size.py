@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from curves import median_curve
 from matplotlib.figure import Figure
 from page import parser, rows_table, scored_row, train_config, write_page
 
@@ -19,7 +20,6 @@ from adaptsim_jax.baselines.compare_exact import find_bounds
 from adaptsim_jax.baselines.exact_methods import adaptsim_means
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 
 STEPS = (0.05, 0.10, 0.15, 0.20)
 STARTS, ITERATIONS = 2, 10
@@ -72,7 +72,7 @@ def curves_by(rows: Sequence[Mapping[str, Any]], names: Sequence[str], title: st
     figure, (ax,) = look.new_figure(4.2, 3.0)
     for i, (r, name) in enumerate(zip(rows, names, strict=True)):
         line = {"color": shades[i % len(shades)], "linestyle": ["-", "--", "-.", ":"][i % 4]}
-        draw.median_curve(ax, r["curve"], line, name, -0.4)
+        median_curve(ax, r["curve"], line, name, -0.4)
     look.style_axes(ax)
     ax.set_ylim(-0.4, 1.08)
     ax.set_xlabel("adaptation iteration", fontsize=9)

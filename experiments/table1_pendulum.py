@@ -6,13 +6,13 @@ python experiments/table1_pendulum.py --seeds 2 --trajectories 500 --simulations
 """
 
 import numpy as np
+from curves import reward_over_iterations
 from page import parser, sysid_config, train_config, write_page
 
 from adaptsim_jax import compare
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.comparison import table
 
 PAPER = {
@@ -38,7 +38,7 @@ def main() -> None:
     main_rows = [
         m for m in dict.fromkeys(r["method"] for r in results["rows"]) if not m.endswith("_state")
     ]
-    look.save(draw.reward_over_iterations(results, main_rows), out / figures[0])
+    look.save(reward_over_iterations(results, main_rows), out / figures[0])
     parts = [
         table(results).rsplit("\n\nCommand:", 1)[0],
         "The paper's values, for comparison (its UDR is not described for this task, so its zero "

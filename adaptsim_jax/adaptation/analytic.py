@@ -17,6 +17,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
+from jax import Array
 
 from adaptsim_jax.adaptation.phase1 import draw_target
 from adaptsim_jax.core.errors import BadInput
@@ -57,7 +58,7 @@ class StepNetwork(nn.Module):
     dim: int
 
     @nn.compact
-    def __call__(self, obs: jax.Array) -> jax.Array:
+    def __call__(self, obs: Array) -> Array:
         for width in self.hidden:
             obs = nn.elu(nn.Dense(width, kernel_init=nn.initializers.he_uniform())(obs))
         return jnp.tanh(nn.Dense(self.dim, kernel_init=nn.initializers.zeros)(obs))
@@ -66,8 +67,8 @@ class StepNetwork(nn.Module):
 class AnalyticState(NamedTuple):
     """What the next update needs. weights: Flat `[n]`."""
 
-    key: jax.Array
-    weights: jax.Array
+    key: Array
+    weights: Array
     opt: Any
 
 
@@ -76,9 +77,9 @@ class AnalyticInfo(NamedTuple):
     and the share that were not.
     """
 
-    first: jax.Array
-    last: jax.Array
-    lost: jax.Array
+    first: Array
+    last: Array
+    lost: Array
 
 
 class Analytic:
@@ -91,7 +92,7 @@ class Analytic:
     def __init__(
         self,
         task: Task,
-        loss: Callable[[Any], jax.Array],
+        loss: Callable[[Any], Array],
         config: AnalyticConfig = AnalyticConfig(),
     ):
         _check(task, config)
@@ -100,17 +101,17 @@ class Analytic:
         self._weights_of, self._steps = flat(network, task.space.dim + task.obs_dim)
         self._adam = optax.scale_by_adam()
 
-    def init(self, key: jax.Array) -> AnalyticState:
+    def init(self, key: Array) -> AnalyticState:
         """Before the first update."""
         key, net = jax.random.split(key)
         weights = self._weights_of(net)
         return AnalyticState(key, weights, self._adam.init(weights))
 
-    def run(self, state: AnalyticState, numbers: jax.Array) -> tuple[AnalyticState, AnalyticInfo]:
+    def run(self, state: AnalyticState, numbers: Array) -> tuple[AnalyticState, AnalyticInfo]:
         """Updates of these `numbers [U]`, of `config.updates`."""
         return jax.lax.scan(self._update, state, numbers)
 
-    def adapt(self, weights: jax.Array, starts: jax.Array, target: Any, iterations: int):
+    def adapt(self, weights: Array, starts: Array, target: Any, iterations: int):
         """Means `[N, iterations + 1, D]` (unit coordinates) from `starts [N, D]` in `target [D]`
         (physical).
         """
@@ -169,14 +170,12 @@ class Analytic:
         surrogate, losses = jax.vmap(one)(keys)
         return surrogate.mean(), losses
 
-    def _update(
-        self, state: AnalyticState, number: jax.Array
-    ) -> tuple[AnalyticState, AnalyticInfo]:
+    def _update(self, state: AnalyticState, number: Array) -> tuple[AnalyticState, AnalyticInfo]:
         config = self.config
         keys = jax.random.split(jax.random.fold_in(state.key, number), config.parallel)
         grad, losses = jax.grad(self._total, has_aux=True)(state.weights, keys)
         rate = config.learning_rate * 0.5 * (1.0 + jnp.cos(jnp.pi * number / config.updates))
-        change, opt = cast(tuple[jax.Array, Any], self._adam.update(grad, state.opt))
+        change, opt = cast(tuple[Array, Any], self._adam.update(grad, state.opt))
         ends = jnp.nanmean(losses[:, 0]), jnp.nanmean(losses[:, -1])
         info = AnalyticInfo(*ends, jnp.mean(jnp.isnan(losses)))
         return AnalyticState(state.key, state.weights - rate * change, opt), info

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.adaptation.phase1 import DistributionArchive, archive_size
@@ -33,9 +34,9 @@ class Tried(NamedTuple):
     `[T]`, NaN of those to come.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
-    score: jax.Array
+    score: Array
 
 
 class AskState(NamedTuple):
@@ -47,13 +48,13 @@ class AskState(NamedTuple):
         tried: What that is chosen from, else empty.
     """
 
-    key: jax.Array
-    told: jax.Array
-    mean: jax.Array
+    key: Array
+    told: Array
+    mean: Array
     policy: Any
     starts: DistributionArchive
-    best_score: jax.Array
-    best_mean: jax.Array
+    best_score: Array
+    best_mean: Array
     best_policy: Any
     tried: Tried | tuple[()] = ()
 
@@ -63,9 +64,9 @@ class TrialInfo(NamedTuple):
     far.
     """
 
-    score: jax.Array
-    action: jax.Array
-    best: jax.Array
+    score: Array
+    action: Array
+    best: Array
 
 
 class AskTell:
@@ -92,7 +93,7 @@ class AskTell:
             lambda key, mean, policy: task.train(key, gaussian(task.space, mean), policy)
         )
 
-    def init(self, key: jax.Array, starts: DistributionArchive) -> AskState:
+    def init(self, key: Array, starts: DistributionArchive) -> AskState:
         """Before any trial, from `starts [N, ...]`."""
         mean, policy = jax.tree.map(lambda x: x[0], starts)
         policy = self._train(jax.random.fold_in(key, 0), mean, policy)
@@ -135,7 +136,7 @@ class AskTell:
         policy = self._train(jax.random.fold_in(state.key, count), mean, policy)
         return state._replace(told=jnp.asarray(count, jnp.int32), mean=mean, policy=policy)
 
-    def _next(self, state: AskState, action: Any, count: int) -> tuple[jax.Array, Any]:
+    def _next(self, state: AskState, action: Any, count: int) -> tuple[Array, Any]:
         start, iteration = divmod(count, self.iterations + 1)
         if iteration == 0:  # the next start, or the last one again once all is over
             index = min(start, self.trials(state) // (self.iterations + 1) - 1)
@@ -144,7 +145,7 @@ class AskTell:
         space = self.task.space
         return spaces.step(space, gaussian(space, state.mean), action, size).mean, state.policy
 
-    def _best(self, state: AskState, score: jax.Array) -> tuple[tuple[Any, Any, Any], Any, Any]:
+    def _best(self, state: AskState, score: Array) -> tuple[tuple[Any, Any, Any], Any, Any]:
         """(Return, mean and policy) of the best trial, whether that is this one, and all trials."""
         before = (state.best_score, state.best_mean, state.best_policy)
         if not self.task.doubt:
@@ -159,8 +160,24 @@ class AskTell:
         return _choose(some, picked, before), some & (best == state.told), tried
 
 
-def _choose(on: jax.Array, new: Any, old: Any) -> Any:
+def _choose(on: Array, new: Any, old: Any) -> Any:
     return jax.tree.map(lambda a, b: jnp.where(on, a, b), new, old)
+
+
+def loop_of(trained: Trained, iterations: int, task: Task | None = None) -> AskTell:
+    """The learned adaptation policy at work. task: Another than the run's own to score by."""
+    phase1, hyper = trained.phase1, trained.hyper
+    sizes = {name: float(getattr(hyper, name)) for name in ("delta", "shrink")}
+    weights = trained.state.learner.target
+    return AskTell(task or phase1.task, phase1.bdq, weights, iterations=iterations, **sizes)
+
+
+def begun(loop: AskTell, trained: Trained, starts: int, seed: int) -> AskState:
+    """Before any trial, from `starts` members of the run's own S_E."""
+    start_key, key = jax.random.split(jax.random.key(seed))
+    used = archive_size(trained.phase1, trained.rounds)
+    archive = trained.state.archive
+    return loop.init(key, draw_starts(start_key, archive, used, starts, loop.task.first))
 
 
 class Asked(NamedTuple):
@@ -201,21 +218,11 @@ class Session:
         iterations: int = 10,
         seed: int = 0,
     ):
-        if isinstance(run, Trained):
-            self.trained = run
-        else:
-            self.trained = load_run(RunFolder.open(run))
-        phase1, hyper = self.trained.phase1, self.trained.hyper
-        self.task = phase1.task
+        self.trained = run if isinstance(run, Trained) else load_run(RunFolder.open(run))
+        self.task = self.trained.phase1.task
         measured = replace(self.task, score=lambda t: t[0], observe=lambda t: t[1])
-        sizes = {name: float(getattr(hyper, name)) for name in ("delta", "shrink")}
-        weights = self.trained.state.learner.target
-        self.loop = AskTell(measured, phase1.bdq, weights, iterations=iterations, **sizes)
-        start_key, key = jax.random.split(jax.random.key(seed))
-        used = archive_size(phase1, self.trained.rounds)
-        self.state: AskState = self.loop.init(
-            key, draw_starts(start_key, self.trained.state.archive, used, starts, self.task.first)
-        )
+        self.loop = loop_of(self.trained, iterations, measured)
+        self.state = begun(self.loop, self.trained, starts, seed)
 
     @property
     def done(self) -> bool:
@@ -269,7 +276,7 @@ class Session:
         trajectory = self.task.read(obs, action, reward)
         return float(self.task.score(trajectory)), np.asarray(self.task.observe(trajectory))
 
-    def _asked(self, mean: jax.Array, policy: Any) -> Asked:
+    def _asked(self, mean: Array, policy: Any) -> Asked:
         names, values = self.task.space.names, np.asarray(self.task.space.physical(mean))
         act = None
         if self.task.act is not None:

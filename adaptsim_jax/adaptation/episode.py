@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.learners.bdq import explore
@@ -28,7 +29,7 @@ class Guide(NamedTuple):
     share: float
     space: Space
 
-    def __call__(self, trajectory_key, step_key, action, mean, target, size) -> jax.Array:
+    def __call__(self, trajectory_key, step_key, action, mean, target, size) -> Array:
         """The action `[D]` to take at `mean [D]` (unit coordinates) with steps of `size`: `action`,
         or one towards `target [D]` (physical), as `trajectory_key` has it for all of a trajectory.
         """
@@ -38,7 +39,7 @@ class Guide(NamedTuple):
         return jnp.where(led, towards, action)
 
 
-def heading(space: Space, mean: jax.Array, target: jax.Array, size: jax.Array | float) -> jax.Array:
+def heading(space: Space, mean: Array, target: Array, size: Array | float) -> Array:
     """`[D]` int32: the action that brings `mean [D]` nearer to `target [D]` (physical; its nearest
     point of Omega).
     """
@@ -55,11 +56,11 @@ class Visit(NamedTuple):
     adaptation policy has it, score: `[]` raw return, reward: `[]` scaled.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
-    obs: jax.Array
-    score: jax.Array
-    reward: jax.Array
+    obs: Array
+    score: Array
+    reward: Array
 
 
 class AdaptationEpisode(NamedTuple):
@@ -67,12 +68,12 @@ class AdaptationEpisode(NamedTuple):
     them.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
-    obs: jax.Array
-    score: jax.Array
-    reward: jax.Array
-    action: jax.Array
+    obs: Array
+    score: Array
+    reward: Array
+    action: Array
 
 
 class StepPlan(NamedTuple):
@@ -82,12 +83,12 @@ class StepPlan(NamedTuple):
     """
 
     steps: int = 10
-    delta: jax.Array | float = 0.1
-    shrink: jax.Array | float = 1.0
-    noise: jax.Array | float = 0.0
+    delta: Array | float = 0.1
+    shrink: Array | float = 1.0
+    noise: Array | float = 0.0
     guide: Guide | None = None
 
-    def size(self, number: jax.Array) -> jax.Array:
+    def size(self, number: Array) -> Array:
         """Of the step after visit `number`."""
         return self.delta * self.shrink**number
 
@@ -99,13 +100,11 @@ class PolicyTrial(NamedTuple):
 
     dist: Gaussian
     policy: Any
-    target: jax.Array
+    target: Array
     reference: Any
 
 
-def look(
-    run_key, noise_key, task: Task, attempt: PolicyTrial, noise: jax.Array | float = 0.0
-) -> Visit:
+def look(run_key, noise_key, task: Task, attempt: PolicyTrial, noise: Array | float = 0.0) -> Visit:
     """Run the policy in its target and look at what came of it."""
     dist, policy, target, reference = attempt
     trajectory = task.rollout(run_key, policy, target)
@@ -117,12 +116,12 @@ def look(
 
 
 def run_episode(
-    key: jax.Array,
+    key: Array,
     task: Task,
-    act: Callable[[jax.Array, jax.Array], jax.Array],
+    act: Callable[[Array, Array], Array],
     start: Gaussian,
     policy: Any,
-    target: jax.Array,
+    target: Array,
     plan: StepPlan,
 ) -> AdaptationEpisode:
     """Adapt `start` to `target: [D]` (physical) with `act(key, obs) -> action [D]`."""

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation import reuse
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, Guide, StepPlan, run_episode
@@ -35,7 +36,7 @@ class DistributionArchive(NamedTuple):
     ...]`.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
 
 
@@ -44,7 +45,7 @@ class Phase1State(NamedTuple):
     are reused.
     """
 
-    key: jax.Array
+    key: Array
     learner: BDQState
     replay: Transition
     archive: DistributionArchive
@@ -58,15 +59,15 @@ class Phase1Info(NamedTuple):
     trained with, and the share of visits that reused one.
     """
 
-    reward: jax.Array
-    final_reward: jax.Array
-    shaped: jax.Array
-    epsilon: jax.Array
-    loss: jax.Array
-    q: jax.Array
-    grad_norm: jax.Array
-    trials: jax.Array | None = None
-    reused: jax.Array | None = None
+    reward: Array
+    final_reward: Array
+    shaped: Array
+    epsilon: Array
+    loss: Array
+    q: Array
+    grad_norm: Array
+    trials: Array | None = None
+    reused: Array | None = None
 
 
 class Phase1(NamedTuple):
@@ -75,7 +76,7 @@ class Phase1(NamedTuple):
     task: Task
     config: Phase1Config
     bdq: BDQ
-    init: Callable[[jax.Array], Phase1State]
+    init: Callable[[Array], Phase1State]
     round: Callable[..., tuple[Phase1State, Phase1Info]]
     run: Callable[..., tuple[Phase1State, Phase1Info]]
 
@@ -135,7 +136,7 @@ def archive_size(phase1: Phase1, rounds: int) -> int:
     return min(phase1.config.archive, rounds * phase1.config.parallel * phase1.config.horizon)
 
 
-def shape_reward(reward: jax.Array, hyper: Phase1Hyper) -> jax.Array:
+def shape_reward(reward: Array, hyper: Phase1Hyper) -> Array:
     """The reward that is learned from (paper, eq. A1, with an optional gain): at least 0, and 0
     below the threshold.
     """
@@ -178,7 +179,7 @@ def _collect(key, task, phase, hyper, state: Phase1State, epsilon, over):
     return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 
 
-def draw_target(key, task: Task, inside) -> jax.Array:
+def draw_target(key, task: Task, inside) -> Array:
     """Physical values `[D]`, each from Omega with probability `inside`, else from the task's box of
     targets.
     """
@@ -188,7 +189,7 @@ def draw_target(key, task: Task, inside) -> jax.Array:
     return jnp.where(jax.random.uniform(coin_key, anywhere.shape) < inside, near, anywhere)
 
 
-def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Transition, jax.Array]:
+def _transitions(episodes: AdaptationEpisode, hyper: Phase1Hyper) -> tuple[Transition, Array]:
     """Flatten visits `[parallel, horizon + 1]` to transitions `[parallel * horizon]`, rewarded by
     the visit after.
     """

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, StepPlan, run_episode
 from adaptsim_jax.adaptation.phase1 import (
@@ -36,16 +37,16 @@ class Phase2Result(NamedTuple):
     """  # noqa: E501
 
     policy: Any
-    mean: jax.Array
-    score: jax.Array
-    reward: jax.Array
+    mean: Array
+    score: Array
+    reward: Array
     history: AdaptationEpisode
 
 
 def draw_starts(
-    key: jax.Array,
+    key: Array,
     archive: DistributionArchive,
-    used: jax.Array | int,
+    used: Array | int,
     count: int,
     first: Any = None,
 ) -> DistributionArchive:
@@ -60,12 +61,12 @@ def draw_starts(
 
 
 def adapt(
-    key: jax.Array,
+    key: Array,
     task: Task,
     bdq: BDQ,
-    weights: jax.Array,
+    weights: Array,
     starts: DistributionArchive,
-    target: jax.Array,
+    target: Array,
     plan: StepPlan = StepPlan(),  # noqa: B008
 ) -> Phase2Result:
     """Adapt each of the `N` starts with greedy steps in `target: [D]` (physical values).
@@ -85,7 +86,7 @@ def adapt(
     return best_of(history, task.doubt)
 
 
-def best_visit(score: Any) -> tuple[jax.Array, jax.Array]:
+def best_visit(score: Any) -> tuple[Array, Array]:
     """`(start, visit)`, each `[]`, of the highest finite raw return of `score [N, I + 1]`; the
     first visit where none is finite.
     """
@@ -94,7 +95,7 @@ def best_visit(score: Any) -> tuple[jax.Array, jax.Array]:
     return start, visit
 
 
-def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
+def smoothed(mean: Array, score: Array, doubt: float) -> Array:
     """Returns `[N]` expected at each visit, of the returns `score [N]` of all of them: a Gaussian
     process over `mean [N, D]` (unit coordinates) of a fixed length, since visits are too few to fit
     one.
@@ -116,7 +117,7 @@ def smoothed(mean: jax.Array, score: jax.Array, doubt: float) -> jax.Array:
     return jnp.where(sound, level + alike @ weigh(known - level * on), score)
 
 
-def chosen_visit(history: AdaptationEpisode, doubt: float = 0.0) -> tuple[jax.Array, jax.Array]:
+def chosen_visit(history: AdaptationEpisode, doubt: float = 0.0) -> tuple[Array, Array]:
     """`(start, visit)`, each `[]`, of what is deployed of `history: [N, I + 1, ...]`: the highest
     of its smoothed returns.
     """
@@ -152,7 +153,7 @@ class TrainedMany(NamedTuple):
     """
 
     hyper: Phase1Hyper
-    weights: jax.Array
+    weights: Array
     archive: DistributionArchive
     info: Phase1Info
 
@@ -187,8 +188,8 @@ def train_many(
 
 
 def train_one(
-    phase1: Phase1, seeds: jax.Array, hypers: Phase1Hyper
-) -> tuple[jax.Array, DistributionArchive, Phase1Info]:
+    phase1: Phase1, seeds: Array, hypers: Phase1Hyper
+) -> tuple[Array, DistributionArchive, Phase1Info]:
     """Target-network weights `[S, n]`, S_E and info of `seeds [S]` side by side; pure."""
     rounds = jnp.arange(phase1.config.rounds)
 
@@ -216,7 +217,7 @@ def adapt_many(
     phase1: Phase1,
     trained: TrainedMany,
     starts: DistributionArchive,
-    targets: jax.Array | np.ndarray,
+    targets: Array | np.ndarray,
     *,
     iterations: int = 10,
 ) -> AdaptationEpisode:

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, PolicyTrial, StepPlan, look
@@ -49,11 +50,11 @@ class Pool(NamedTuple):
     Anchors ever made.
     """
 
-    mean: jax.Array
+    mean: Array
     policy: Any
-    taught: jax.Array
-    spent: jax.Array
-    count: jax.Array
+    taught: Array
+    spent: Array
+    count: Array
 
 
 class Loan(NamedTuple):
@@ -62,8 +63,8 @@ class Loan(NamedTuple):
     """
 
     policy: Any
-    place: jax.Array
-    budget: jax.Array
+    place: Array
+    budget: Array
 
 
 def empty_pool(config: ReuseConfig, dim: int, policy: Any) -> Pool:
@@ -78,7 +79,7 @@ def empty_pool(config: ReuseConfig, dim: int, policy: Any) -> Pool:
     )
 
 
-def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
+def shared_pool(config: ReuseConfig, mean: Array, policy: Any) -> Pool:
     """One anchor at `mean [D]`, whose `policy` has had all the training that it gets here: lent to
     whatever is near.
     """
@@ -96,7 +97,7 @@ def shared_pool(config: ReuseConfig, mean: jax.Array, policy: Any) -> Pool:
     )
 
 
-def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
+def lend(pool: Pool, config: ReuseConfig, means: Array, own: Any) -> Loan:
     """What each of `means [P, D]` goes on from: the nearest anchor's policy if it is near enough,
     else `own [P, ...]`.
     """
@@ -114,7 +115,7 @@ def lend(pool: Pool, config: ReuseConfig, means: jax.Array, own: Any) -> Loan:
     return Loan(policy, jnp.where(near, nearest, -1), budget)
 
 
-def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loan: Loan) -> Pool:
+def settle(pool: Pool, config: ReuseConfig, means: Array, policies: Any, loan: Loan) -> Pool:
     """The pool after `policies [P, ...]` came out of the training that `loan` asked for at `means
     [P, D]`.
 
@@ -150,7 +151,7 @@ def settle(pool: Pool, config: ReuseConfig, means: jax.Array, policies: Any, loa
     )
 
 
-def train_loans(keys: jax.Array, train_many, dists: Any, loan: Loan, together: int) -> Any:
+def train_loans(keys: Array, train_many, dists: Any, loan: Loan, together: int) -> Any:
     """Policies `[P, ...]` after their budgets: `together` at a time, those with like budgets side
     by side.
 
@@ -191,7 +192,7 @@ def check(config: ReuseConfig, parallel: int) -> None:
         )
 
 
-def _where(mask: jax.Array, x: jax.Array, y: jax.Array) -> jax.Array:
+def _where(mask: Array, x: Array, y: Array) -> Array:
     return jnp.where(mask.reshape(-1, *(1,) * (x.ndim - 1)), x, y)
 
 
@@ -202,8 +203,8 @@ class Reusing(NamedTuple):
 
     episodes: AdaptationEpisode
     pool: Pool
-    budgets: jax.Array
-    reused: jax.Array
+    budgets: Array
+    reused: Array
 
 
 class BegunTrajectories(NamedTuple):
@@ -211,10 +212,10 @@ class BegunTrajectories(NamedTuple):
     (what a visit far from every anchor starts from), and targets `[P, D]` (physical).
     """
 
-    keys: jax.Array
+    keys: Array
     dists: Gaussian
     policies: Any
-    targets: jax.Array
+    targets: Array
 
 
 def run_reusing(

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation import sweep_plan as devices
 from adaptsim_jax.adaptation.episode import StepPlan
@@ -17,10 +18,12 @@ from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, archive_size, ma
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.sweep_spec import Member, SweepSpec
 from adaptsim_jax.adaptation.training import learned
+from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.store import MANIFEST, load_checkpoint, save_checkpoint
-from adaptsim_jax.tasks.registry import make_task
+from adaptsim_jax.tasks.registry import TASKS, make_task
 
 SAVING = 0.05  # of the time, at most, goes into checkpoints
 
@@ -51,10 +54,10 @@ class MemberResult(NamedTuple):
     visit's reward `[T]` and mean of E `[T, D]` (physical), rewards of all visits `[T, N, I + 1]`.
     """
 
-    whole: jax.Array
-    best: jax.Array
-    params: jax.Array
-    rewards: jax.Array
+    whole: Array
+    best: Array
+    params: Array
+    rewards: Array
 
 
 def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Split) -> Programs:
@@ -124,32 +127,19 @@ def make_programs(spec: SweepSpec, member: Member, width: int, split: devices.Sp
     )
 
 
-def _judge(task: str, options: dict[str, Any]) -> Callable:
-    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`: of the push as it is deployed,
-    corrected.
+def _judge(task: str, options: Table) -> Callable:
+    """`(Phase2Result, target) -> (best [], rewards [N, I + 1])`, as the task deploys its
+    policies.
     """
-
-    def plain(result, target):
-        return (result.reward, result.history.reward)
-
-    if task != "pushing":
-        return plain
-    from adaptsim_jax.core import config
-    from adaptsim_jax.tasks.pushing import one_shot as after
-    from adaptsim_jax.tasks.pushing.config import PushingConfig
-
-    made = config.from_table(PushingConfig, options, "task")
-    if not made.correct or not made.show_goal:
-        return plain
+    kind = TASKS[task]
+    face, made = kind.adapt, None
+    if face is not None:
+        made = configs.from_table(kind.config, options, "task")
 
     def judge(result, target):
-        policies, every = after.deployed(result.history, target, made)
-        flat = jax.tree.map(lambda x: x.reshape(-1, *x.shape[2:]), policies)
-        best = jax.tree.map(lambda x: x[None], result.policy._replace(told=every))
-        rewards = after.tested(
-            jax.tree.map(lambda a, b: jnp.concatenate([a, b]), flat, best), target, made
-        )
-        return rewards[-1], rewards[:-1].reshape(result.history.reward.shape)
+        if face is not None:
+            result = face.deployed(made, result, target)
+        return result.reward, result.history.reward
 
     return judge
 
@@ -163,7 +153,7 @@ def run_batch(
     width: int,
     progress: Callable[[int, str], None],
     save_after: float = 30.0,
-) -> tuple[list[dict[str, Any]], Any, Any]:
+) -> tuple[list[Table], Any, Any]:
     """`(rows, state, prepared)` of at most `width` members, from `folder` if it has a
     checkpoint.
         A row is plain data:
@@ -217,7 +207,7 @@ def run_batch(
     return rows, devices.fetch(state) if spec.keep else None, prepared
 
 
-def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> dict[str, Any]:
+def _row(curves: tuple[np.ndarray, ...], found: MemberResult, i: int) -> Table:
     """Of member i. curves: Rewards, and whether losses were finite, `[width, rounds]`."""
     reward, finite = (curve[i] for curve in curves)
     row = {name: getattr(found, name)[i].astype(float).tolist() for name in MemberResult._fields}

@@ -18,6 +18,7 @@ from adaptsim_jax.adaptation import sweep_plan as plans
 from adaptsim_jax.adaptation.sweep_plan import MemberBatch, SweepPlan
 from adaptsim_jax.adaptation.sweep_spec import Sweep
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import one_writer, output_folder, write_bytes, write_json
 from adaptsim_jax.core.store import SCHEMA, check_version
@@ -31,7 +32,7 @@ class SweepFolder:
     holds.
     """
 
-    def __init__(self, path: Path, head: dict[str, Any]):
+    def __init__(self, path: Path, head: Table):
         self.path, self.head = path, head
         self.plan: SweepPlan = plans.from_table(head["plan"])
 
@@ -92,7 +93,7 @@ class SweepFolder:
         """Batches without a part."""
         return [batch for batch in self.plan.batches if not self.part(batch).exists()]
 
-    def finish(self, batch: MemberBatch, rows: list[dict[str, Any]]) -> None:
+    def finish(self, batch: MemberBatch, rows: list[Table]) -> None:
         """Keep the rows of a batch, whole or not at all; its checkpoints are of no use then."""
         write_json(self.part(batch), {"schema": SCHEMA, "rows": rows})
         self.clear(batch)
@@ -101,7 +102,7 @@ class SweepFolder:
         for old in (self.path / "work").glob(f"{batch.name}-*"):
             shutil.rmtree(old, ignore_errors=True)
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[Table]:
         """Rows of all finished batches, by member."""
         found = []
         for batch in self.plan.batches:
@@ -110,7 +111,7 @@ class SweepFolder:
         return sorted(found, key=lambda row: row["member"])
 
 
-def described(sweep: Sweep) -> dict[str, Any]:
+def described(sweep: Sweep) -> Table:
     """What is run, as plain data: the spec and, for each member, its values and the digest of its
     whole configuration.
     """
@@ -136,7 +137,7 @@ def locked(path: Path) -> contextlib.AbstractContextManager[None]:
     return one_writer(path, "lock", "is held by {holder}; wait for it, or name another folder")
 
 
-def write_results(folder: SweepFolder) -> dict[str, Any]:
+def write_results(folder: SweepFolder) -> Table:
     """Write both files from the parts that are there; the same parts give the same bytes."""
     rows, head = folder.rows(), folder.head
     states = [row["status"] for row in rows]
@@ -156,7 +157,7 @@ def write_results(folder: SweepFolder) -> dict[str, Any]:
     return found
 
 
-def _csv(found: dict[str, Any]) -> str:
+def _csv(found: Table) -> str:
     out, targets = io.StringIO(), found["spec"]["targets"]
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(
@@ -188,9 +189,7 @@ def _cell(value: Any) -> Any:
     return value
 
 
-def summary(
-    rows: list[dict[str, Any]], swept: list[str], targets: list[str]
-) -> list[dict[str, Any]]:
+def summary(rows: list[Table], swept: list[str], targets: list[str]) -> list[Table]:
     """For each swept key, each of its values and each reward, the mean over the members that are
     done. Beside it stands the half width of its 95 % interval (Student's), None of a single one.
 
@@ -200,7 +199,7 @@ def summary(
     done = [row for row in rows if row["status"] == "done"]
     found = []
     for key in swept or [""]:
-        levels: dict[str, list[dict[str, Any]]] = {}
+        levels: dict[str, list[Table]] = {}
         for row in done:
             levels.setdefault(json.dumps(row["values"].get(key)), []).append(row)
         for level, some in levels.items():
@@ -212,7 +211,7 @@ def summary(
     return found
 
 
-def _over_seeds(rows: list[dict[str, Any]], name: str) -> dict[str, Any]:
+def _over_seeds(rows: list[Table], name: str) -> Table:
     pairs = [(row["seed"], earned(row, name)) for row in rows]
     by_seed: dict[int, list[float]] = {}
     for seed, reward in pairs:

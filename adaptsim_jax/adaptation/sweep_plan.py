@@ -19,6 +19,7 @@ from adaptsim_jax.adaptation.phase1 import make_phase1
 from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.tasks.base import Task
@@ -298,12 +299,12 @@ def _limit_of_container() -> int:
         return 2**62
 
 
-def to_table(plan: SweepPlan) -> dict[str, Any]:
+def to_table(plan: SweepPlan) -> Table:
     """The plan as JSON has it."""
     return {"groups": [group._asdict() for group in plan.groups], "batches": plan.batches}
 
 
-def from_table(table: dict[str, Any]) -> SweepPlan:
+def from_table(table: Table) -> SweepPlan:
     groups = [
         MemberGroup(**g | {"members": tuple(g["members"]), "split": Split(*g["split"])})
         for g in table["groups"]

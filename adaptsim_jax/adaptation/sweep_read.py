@@ -18,7 +18,8 @@ from adaptsim_jax.adaptation.training import (
     with_defaults,
 )
 from adaptsim_jax.core import config as configs
-from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief
+from adaptsim_jax.core.config import Table
+from adaptsim_jax.core.errors import MAX_SEED, BadInput, brief, check_counts
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import TASKS, make_task
 
@@ -40,7 +41,7 @@ def read_sweep(path: str | Path) -> Sweep:
     return _members(spec, base, axes, lines)
 
 
-def _environment(table: dict[str, Any], lines: Lines, folder: Path) -> dict[str, Any] | None:
+def _environment(table: Table, lines: Lines, folder: Path) -> Table | None:
     """The env.toml that the spec names as its task, read; None where it names a task."""
     named = table.get("task")
     if not (isinstance(named, str) and named.endswith(".toml")):
@@ -51,7 +52,7 @@ def _environment(table: dict[str, Any], lines: Lines, folder: Path) -> dict[str,
         return read_env(folder / named)
 
 
-def _spec(table: dict[str, Any], lines: Lines, path: str) -> SweepSpec:
+def _spec(table: Table, lines: Lines, path: str) -> SweepSpec:
     known = list(SweepSpec.__dataclass_fields__)
     for name in table:
         with lines.blamed(name):
@@ -63,8 +64,7 @@ def _spec(table: dict[str, Any], lines: Lines, path: str) -> SweepSpec:
     with lines.blamed("task"):
         configs.pick("task", spec.task, TASKS)
     for name in ("starts", "iterations"):
-        if getattr(spec, name) < 1:
-            raise BadInput(f"{lines.where(name)}: {name} = {getattr(spec, name)}: give at least 1")
+        check_counts(spec, (name,), f"{lines.where(name)}: ")
     if spec.random.count < 0 or (spec.random.count == 0) != (not spec.random.values):
         raise BadInput(
             f"{lines.where('random')}: random needs count, at least 1, and [random.values] with a "
@@ -85,7 +85,7 @@ def seeds_of(spec: SweepSpec, lines: Lines | None = None) -> list[int]:
     return seeds
 
 
-def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> TrainConfig:
+def _base(spec: SweepSpec, lines: Lines, folder: Path, env: Table) -> TrainConfig:
     """The configuration that members start from. env: The table of an env.toml, empty for other
     tasks.
     """
@@ -107,7 +107,7 @@ def _base(spec: SweepSpec, lines: Lines, folder: Path, env: dict[str, Any]) -> T
     return with_values(base, leaves(spec.set, configs.to_table(base)))
 
 
-def leaves(table: dict[str, Any], base: dict[str, Any]) -> dict[str, Any]:
+def leaves(table: Table, base: Table) -> Table:
     """Values by dotted key, whether they were written as `"hyper.delta" = 1`, `hyper.delta = 1` or
     in a nested table. Never taken apart further than the configuration `base` is nested.
     """
@@ -127,7 +127,7 @@ def _at(table: Any, key: str) -> Any:
     return table
 
 
-def with_values(base: TrainConfig, values: dict[str, Any], where: str = "values") -> TrainConfig:
+def with_values(base: TrainConfig, values: Table, where: str = "values") -> TrainConfig:
     """`base` with values by dotted key."""
     table = configs.to_table(base)
     for key, value in values.items():
@@ -135,13 +135,13 @@ def with_values(base: TrainConfig, values: dict[str, Any], where: str = "values"
     return configs.from_table(TrainConfig, table, where)
 
 
-def _nested(key: str, value: Any) -> dict[str, Any]:
+def _nested(key: str, value: Any) -> Table:
     for part in reversed(key.split(".")):
         value = {part: value}
     return value
 
 
-def _check_key(task: str, base: dict[str, Any], key: str, value: Any, where: str) -> None:
+def _check_key(task: str, base: Table, key: str, value: Any, where: str) -> None:
     """BadInput, from `where`, if the configuration has no such key, or no such value there."""
     if key == "seed" or key.startswith("seed."):
         raise BadInput(
@@ -160,7 +160,7 @@ def _check_key(task: str, base: dict[str, Any], key: str, value: Any, where: str
 
 # ---------------------------------------------------------------- members
 
-Axis = list[dict[str, Any]]
+Axis = list[Table]
 """Alternatives: each a set of values by dotted key, with `lines`' names of them under `""`."""
 
 
@@ -188,7 +188,7 @@ def _grid_axis(key: str, values: Any, lines: Lines) -> Axis:
     return [{key: value, "": {key: f"grid.{key}"}} for value in values]
 
 
-def _list_entry(entry: Any, i: int, lines: Lines) -> dict[str, Any]:
+def _list_entry(entry: Any, i: int, lines: Lines) -> Table:
     if not isinstance(entry, dict) or not entry:
         raise BadInput(
             f"{lines.where(f'list.{i}')}: entry {i} of list is {brief(entry)}; write [[list]] and "
@@ -198,7 +198,7 @@ def _list_entry(entry: Any, i: int, lines: Lines) -> dict[str, Any]:
     return flat | {"": {key: f"list.{i}.{key}" for key in flat}}
 
 
-def _ranges(table: dict[str, Any], prefix: str = "") -> dict[str, dict[str, Any]]:
+def _ranges(table: Table, prefix: str = "") -> dict[str, Table]:
     """Range tables by dotted key."""
     flat = {}
     for name, value in table.items():

@@ -24,6 +24,7 @@ from adaptsim_jax.adaptation.sweep_plan import MemberBatch
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.adaptation.training import FOLDER, keep
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import without_nan
 from adaptsim_jax.core.parallel import largest_divisor
@@ -93,14 +94,14 @@ def _split(group: Any) -> devices.Split:
 
 def rows_of(
     held: Held, batch: MemberBatch, report: Callable[[int, str], None], save_after: float
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """A row for each member of the batch, as `results.json` has it; run folders of members are left
     where `keep` asks for them.
     """
     sweep, folder = held.sweep, held.folder
     members = members_of(sweep, folder, batch)
 
-    def run(some: list[Member]) -> list[dict[str, Any]]:
+    def run(some: list[Member]) -> list[Table]:
         programs = held.programs_of(batch)
         work = folder.work(batch, some)
         width = programs.width  # of a part of the batch, which did not fit whole, less
@@ -118,16 +119,16 @@ def rows_of(
     return halved(members, run, failed_row)
 
 
-def failed_row(member: Member, reason: str) -> dict[str, Any]:
+def failed_row(member: Member, reason: str) -> Table:
     """The row of a member that came to nothing."""
     return _head(member) | {"status": "failed", "reason": reason}
 
 
-def _head(member: Member) -> dict[str, Any]:
+def _head(member: Member) -> Table:
     return {"member": member.index, "seed": member.config.seed, "values": member.values}
 
 
-def _row(sweep: Sweep, member: Member, found: dict[str, Any]) -> dict[str, Any]:
+def _row(sweep: Sweep, member: Member, found: Table) -> Table:
     reward = np.array(found["reward"])
     tail = reward[-max(1, len(reward) // 10) :]
     row = _head(member) | {
@@ -201,9 +202,7 @@ def run_on_ray(
         ray.shutdown()
 
 
-def _ray_rows(
-    ray: Any, task: Any, sweep: Sweep, folder: SweepFolder, batch: Any
-) -> list[dict[str, Any]]:
+def _ray_rows(ray: Any, task: Any, sweep: Sweep, folder: SweepFolder, batch: Any) -> list[Table]:
     """What a task found; where its worker died again and again, its members are failed, with that
     reason.
     """
@@ -260,7 +259,7 @@ def _ray_gpus(ray: Any, address: str | None) -> int:
     return int(ray.cluster_resources().get("GPU", 0))
 
 
-def _ray_batch(shared: Any, number: int, save_after: float) -> list[dict[str, Any]]:
+def _ray_batch(shared: Any, number: int, save_after: float) -> list[Table]:
     """One batch, in a worker."""
 
     sweep, path = shared

@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple
 
 from adaptsim_jax.adaptation.training import TrainConfig
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 
 MOST = 1_000_000  # members
@@ -26,7 +27,7 @@ class Draws:
 
     count: int = 0
     seed: int = 0
-    values: dict[str, Any] = field(default_factory=dict)
+    values: Table = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -62,8 +63,8 @@ class SweepSpec:
     starts: int = 2
     iterations: int = 10
     keep: bool = False
-    set: dict[str, Any] = field(default_factory=dict)
-    grid: dict[str, Any] = field(default_factory=dict)
+    set: Table = field(default_factory=dict)
+    grid: Table = field(default_factory=dict)
     random: Draws = field(default_factory=Draws)
     list: Entries = field(default_factory=Entries)
 
@@ -74,7 +75,7 @@ class Member(NamedTuple):
     """
 
     index: int
-    values: dict[str, Any]
+    values: Table
     config: TrainConfig
 
 

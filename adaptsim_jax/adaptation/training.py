@@ -26,6 +26,7 @@ from adaptsim_jax.adaptation.phase1_config import check_hyper
 from adaptsim_jax.adaptation.phase2 import Phase2Result, adapt, draw_starts
 from adaptsim_jax.core import config, process, store
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import MAX_SEED, BadInput
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import Report, silent
@@ -154,7 +155,7 @@ class TrainConfig:
 
     seed: int = 0
     every: int = 20
-    task: dict[str, Any] = field(default_factory=dict)
+    task: Table = field(default_factory=dict)
     phase1: Phase1Config = field(default_factory=Phase1Config)
     hyper: Phase1Hyper = field(default_factory=Phase1Hyper)
 
@@ -248,7 +249,7 @@ def _phase1_of(
     return make_phase1(task, config.phase1)
 
 
-def _rows(phase1: Phase1, info: Any, done: int) -> list[dict[str, Any]]:
+def _rows(phase1: Phase1, info: Any, done: int) -> list[Table]:
     """One row a round for `metrics.jsonl`; adaptation steps are counted as transitions stored."""
     columns = {
         name: jax.device_get(values)
@@ -284,7 +285,7 @@ def presets_of(task: str) -> list[str]:
 def preset(name: str) -> TrainConfig:
     """The configuration called `name` in `presets.toml`."""
     tables = configs.read(PRESETS_FILE)
-    whole: dict[str, Any] = {}
+    whole: Table = {}
     chain = [name]
     while base := tables[chain[-1]].get("base"):
         chain.append(base)
@@ -303,7 +304,7 @@ def default_config(task: str) -> TrainConfig:
     return configs.from_table(TrainConfig, dict(TASKS[task].train), f"task {task}, train")
 
 
-def table_of(path: str | Path, task: str, where: str) -> dict[str, Any]:
+def table_of(path: str | Path, task: str, where: str) -> Table:
     """The config of `task` in a file: a run's, or a bare table. `where` names the file in a
     BadInput.
     """
@@ -315,7 +316,7 @@ def table_of(path: str | Path, task: str, where: str) -> dict[str, Any]:
     return store.config_in(table, Path(path).parent)
 
 
-def with_defaults(task: str, table: dict[str, Any]) -> dict[str, Any]:
+def with_defaults(task: str, table: Table) -> Table:
     """`table` over the task's default config, key by key. A run's own config is whole and stays as
     it is.
     """

@@ -79,9 +79,8 @@ def identify(run: MethodRun, estimator: Callable, label: int) -> Visits:
 
     def infers(fit_config, name):
         def one(task, key, state, obs):
-            return sysid.infer(
-                jax.random.split(key, 3), state, obs, task, network, config, fit_config
-            )[0]
+            keys = jax.random.split(key, 3)
+            return sysid.infer(keys, state, obs, task, network, config, fit_config)
 
         return arena.program(
             (label, name), lambda task, *work: jax.lax.map(lambda w: one(task, *w), work)

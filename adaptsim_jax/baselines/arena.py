@@ -14,7 +14,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
@@ -182,7 +184,7 @@ class MethodRun:
     arena: Any
     seeds: np.ndarray
     report: Callable[..., None] = silent
-    shared: dict[str, Any] = field(default_factory=dict)
+    shared: Table = field(default_factory=dict)
 
     @property
     def targets(self) -> np.ndarray:
@@ -208,14 +210,14 @@ class RunLanes(NamedTuple):
 
     where: np.ndarray
     seed: np.ndarray
-    keys: jax.Array
+    keys: Array
     shape: tuple[int, int, int]
 
     def grid(self, flat: np.ndarray) -> np.ndarray:
         """`[B, ...] -> [T, S, N, ...]`."""
         return np.asarray(flat).reshape(*self.shape, *np.shape(flat)[1:])
 
-    def at(self, number: int) -> jax.Array:
+    def at(self, number: int) -> Array:
         """Keys `[B]` of a visit."""
         return jax.vmap(jax.random.fold_in, (0, None))(self.keys, number)
 
@@ -237,12 +239,12 @@ def lanes(targets: int, seeds: np.ndarray, starts: int, label: int) -> RunLanes:
     return RunLanes(t, s, keys, (targets, len(seeds), starts))
 
 
-def two_keys(keys: jax.Array) -> tuple[jax.Array, jax.Array]:
+def two_keys(keys: Array) -> tuple[Array, Array]:
     parts = jax.vmap(jax.random.split)(keys)
     return parts[:, 0], parts[:, 1]
 
 
-def lane_keys(keys: jax.Array, count: int) -> list[jax.Array]:
+def lane_keys(keys: Array, count: int) -> list[Array]:
     """`count` keys `[B]` of each of `keys [B]`, folded by their number."""
     return [jax.vmap(jax.random.fold_in, (0, None))(keys, i) for i in range(count)]
 

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy import optimize
 from scipy.stats import qmc
 
@@ -48,12 +49,12 @@ class ExactProblem:
     """
 
     space: Space
-    policy: Callable[[Any], jax.Array]
-    cost: Callable[[Any, Any], jax.Array]
-    mean_cost: Callable[[Any, jax.Array], jax.Array]
-    points: Callable[[Any, jax.Array], jax.Array]
-    cost_at: Callable[[jax.Array, jax.Array], jax.Array]
-    slope: Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+    policy: Callable[[Any], Array]
+    cost: Callable[[Any, Any], Array]
+    mean_cost: Callable[[Any, Array], Array]
+    points: Callable[[Any, Array], Array]
+    cost_at: Callable[[Array, Array], Array]
+    slope: Callable[[Array, Array], tuple[Array, Array]]
 
 
 def pendulum_problem(space: Space) -> ExactProblem:
@@ -171,13 +172,10 @@ def _minimise(
 
 
 class Best(NamedTuple):
-    """For `T` targets: `mean [T, D]` (unit coordinates) whose policy does best, its `cost [T]`, the
-    grid's best `[T]`.
-    """
+    """For `T` targets: `mean [T, D]` (unit coordinates) whose policy does best, its `cost [T]`."""
 
     mean: np.ndarray
     cost: np.ndarray
-    grid_cost: np.ndarray
 
 
 def best_in_omega(
@@ -206,11 +204,7 @@ def best_in_omega(
             _best_of(problem, target, cost, grid, starts)
             for target, cost in zip(targets, costs, strict=True)
         ]
-    return Best(
-        np.array([mean for mean, _ in ends]),
-        np.array([cost for _, cost in ends]),
-        costs.min(axis=1),
-    )
+    return Best(*map(np.array, zip(*ends, strict=True)))
 
 
 def _best_of(

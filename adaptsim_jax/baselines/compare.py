@@ -18,6 +18,7 @@ from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.registry import PROBLEMS
 from adaptsim_jax.baselines.results import parts_of, plain
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.registry import make_one_shot, make_task
@@ -33,7 +34,7 @@ def compare(
     progress: Callable = silent,
     command: str | None = None,
     out: str | Path | None = None,
-) -> dict[str, Any]:
+) -> Table:
     """All of `config.methods` in all of `config.settings`: the table of results.json, whose rows
     are `results.row`'s.
 
@@ -59,7 +60,7 @@ def comparison_of(task: str, config: CompareConfig) -> Comparison:
 
 def compared(
     comparison: Comparison, progress: Callable = silent, out: str | Path | None = None
-) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+) -> tuple[list[Table], Table]:
     """Rows of all methods that are asked for, and what else results.json says of them. In `out`
     each method's part is kept.
     """
@@ -108,7 +109,7 @@ def wanted(comparison: Comparison) -> list[str]:
     return out
 
 
-def stamped(task: str, config: CompareConfig, command: str | None = None) -> dict[str, Any]:
+def stamped(task: str, config: CompareConfig, command: str | None = None) -> Table:
     """What every results.json begins with."""
     versions = {
         name: metadata.version(name) for name in ("adaptsim_jax", "jax", "flax", "numpy", "scipy")

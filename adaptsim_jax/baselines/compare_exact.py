@@ -6,7 +6,7 @@ all methods.
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,7 +16,6 @@ from adaptsim_jax.baselines.arena import MethodRun, Visits
 from adaptsim_jax.baselines.bounds import (
     Best,
     ExactProblem,
-    Udr,
     best_in_omega,
     costs,
     discrepancy,
@@ -25,6 +24,7 @@ from adaptsim_jax.baselines.bounds import (
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
 from adaptsim_jax.baselines.results import ComparisonParts, normalised, physical, row, task_digest
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
 
@@ -36,7 +36,6 @@ class Bounds(NamedTuple):
     optimal policy.
     """
 
-    udr: Udr
     best: Best
     lower: np.ndarray
     upper: np.ndarray
@@ -54,7 +53,7 @@ class ExactArena(NamedTuple):
     """
 
     task_name: str
-    task_options: dict[str, Any]
+    task_options: Table
     problem: ExactProblem
     targets: np.ndarray
 
@@ -87,18 +86,18 @@ class ExactComparison:
         """The normalisers, computed anew: a second or so once compiled."""
         self.bounds = find_bounds(self.arena.problem, self.arena.targets)
 
-    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[dict[str, Any]]:
+    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[Table]:
         """The method's rows, one for each target."""
         if method not in EXACT:
             return bound_rows(method, self.names, self.bounds, len(seeds))
         visits = EXACT[method](MethodRun(self.config, self.arena, seeds, report))
         return visiting_rows(method, self.names, self.arena, self.bounds, visits)
 
-    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+    def rows(self, method: str, found: Table) -> list[Table]:
         return found[method][0]
 
-    def about(self, found: dict[str, Any]) -> dict[str, Any]:
-        def setting(i: int) -> dict[str, Any]:
+    def about(self, found: Table) -> Table:
+        def setting(i: int) -> Table:
             return {
                 "params": [float(p) for p in self.arena.targets[i]],
                 "udr_cost": float(self.bounds.lower[i]),
@@ -128,12 +127,12 @@ def find_bounds(problem: ExactProblem, targets: np.ndarray) -> Bounds:
             "compare: UDR is no worse than the best policy of Omega in a target, so rewards "
             "cannot be normalised; widen Omega"
         )
-    return Bounds(policy, best, lower, best.cost, own)
+    return Bounds(best, lower, best.cost, own)
 
 
 def visiting_rows(
     method: str, names: list[str], arena: ExactArena, bounds: Bounds, visits: Visits
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """A row for each target from the means that a method visited, with the dynamics discrepancy at
     each seed's best.
     """
@@ -173,7 +172,7 @@ def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
     return means.reshape(len(cost), -1, means.shape[-1])[np.arange(len(cost)), flat.argmin(axis=1)]
 
 
-def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[dict[str, Any]]:
+def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[Table]:
     """The normalisers as rows: 0 and 1 by definition. UDR uses no target data; the best in Omega,
     the target's model.
     """

@@ -20,6 +20,7 @@ from adaptsim_jax.baselines.results import (
     row,
     task_digest,
 )
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.tasks.one_shot import OneShot
 
 
@@ -36,7 +37,7 @@ class LearnedComparison:
         self.targets = np.array([space.values(settings[name], name) for name in names])
         self.world = one.world(config.target or one.engine, **config.target_options)
         self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
-        self.shared: dict[str, Any] = {}
+        self.shared: Table = {}
 
     def digest(self) -> str:
         return task_digest(self.one.task, self.one.scored)
@@ -55,7 +56,7 @@ class LearnedComparison:
 
         self.oracle = np.array(parts.of("oracle-rewards", best))
 
-    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[dict[str, Any]]:
+    def record(self, method: str, seeds: np.ndarray, report: Callable) -> list[Table]:
         """The method's rows, one for each target."""
         if method == ORACLE:
             curves = np.broadcast_to(self.oracle[:, None, None], (len(self.names), len(seeds), 1))
@@ -67,10 +68,10 @@ class LearnedComparison:
         visits = run_method(method, MethodRun(self.config, arena, seeds, report, self.shared))
         return visits_rows(method, self.names, visits, self.oracle, arena)
 
-    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+    def rows(self, method: str, found: Table) -> list[Table]:
         return found[method][0]
 
-    def about(self, found: dict[str, Any]) -> dict[str, Any]:
+    def about(self, found: Table) -> Table:
         return about(self.one, self.world.name, self.names, self.targets, self.oracle)
 
 
@@ -84,7 +85,7 @@ def run_method(method: str, run: MethodRun) -> Visits:
 
 def visits_rows(
     method: str, names: list[str], visits: Visits, oracle: np.ndarray, counts: Any
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """A row for each target: at each iteration the best of the distributions that a method adapts
     at once.
 
@@ -94,7 +95,7 @@ def visits_rows(
     for i, name in enumerate(names):
         rewards: np.ndarray = visits.rewards[i]  # type: ignore[index]
         curves = rewards.max(axis=1)
-        extras: dict[str, Any] = {
+        extras: Table = {
             "trials": visits.spent,
             "failed": int(counts.failed[i]),
             "made": int(counts.made[i]),
@@ -109,7 +110,7 @@ def visits_rows(
     return out
 
 
-def _params(space: Any, rewards: np.ndarray, means: np.ndarray) -> dict[str, Any]:
+def _params(space: Any, rewards: np.ndarray, means: np.ndarray) -> Table:
     """Of each seed's best visit and of the last ones: the physical values that were adapted to."""
     S = len(rewards)
     best = rewards.reshape(S, -1).argmax(1)
@@ -118,7 +119,7 @@ def _params(space: Any, rewards: np.ndarray, means: np.ndarray) -> dict[str, Any
     return {"best_params": physical(space, flat), "final_params": physical(space, last)}
 
 
-def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
+def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> Table:
     """What policies earn in contexts that did not choose them, `rewards` and `fresh` `[S, N, I +
     1]`: of each seed's best by the tests its mean, 95 % interval and values, where several are best
     the mean of those; and the mean of the last iteration's.
@@ -139,7 +140,7 @@ def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> dict[str, Any]:
 
 def about(
     one: OneShot, world: str, names: list[str], targets: np.ndarray, oracle: np.ndarray
-) -> dict[str, Any]:
+) -> Table:
     """What results.json says of the targets beside the rows."""
     return {
         "simulator": one.simulator,

@@ -30,6 +30,7 @@ from adaptsim_jax.baselines.results import (
 )
 from adaptsim_jax.baselines.steps_arena import StepsArena
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.setting import EnvironmentConfig, Setting
 from adaptsim_jax.environments.task import environment_setting, task_of
@@ -81,7 +82,7 @@ class StepsComparison:
         seeds = range(config.seed, config.seed + config.seeds)
         self.groups = [(f"seed-{seed}-", np.array([seed])) for seed in seeds]
         self.programs: dict[Hashable, Any] = {}
-        self.arenas: dict[int, tuple[StepsArena, dict[str, Any]]] = {}
+        self.arenas: dict[int, tuple[StepsArena, Table]] = {}
 
     def digest(self) -> str:
         return self.task.preparation.digest()  # type: ignore[union-attr]
@@ -114,10 +115,10 @@ class StepsComparison:
         tests = self.config.steps.tests
         return StepsArena(self.setting, prepared, self.names, tests, seed, self.programs)
 
-    def rows(self, method: str, found: dict[str, Any]) -> list[dict[str, Any]]:
+    def rows(self, method: str, found: Table) -> list[Table]:
         return rows_of(method, deployed_runs(found), self.names)
 
-    def about(self, found: dict[str, Any]) -> dict[str, Any]:
+    def about(self, found: Table) -> Table:
         lower, upper = bounds_of(deployed_runs(found))
         ends = [*zip(self.names, lower, upper, strict=True)]
         if flat := [n for n, a, b in ends if b - a < 1.5 * ROOM * abs(b) + 1e-6]:
@@ -144,13 +145,13 @@ class StepsComparison:
         }
 
 
-def setting_from(options: dict[str, Any]) -> Setting:
+def setting_from(options: Table) -> Setting:
     """Of the options of an environment's task."""
     table = configs.from_table(EnvironmentConfig, dict(options), "compare, [train.task]")
     return environment_setting(table)
 
 
-def deployed_runs(found: dict[str, Any]) -> dict[str, list[Deployed]]:
+def deployed_runs(found: Table) -> dict[str, list[Deployed]]:
     """Parts as arrays; None is not a number."""
 
     def one(part):
@@ -223,9 +224,7 @@ def bounds_of(found: dict[str, list[Deployed]]) -> tuple[np.ndarray, np.ndarray]
     return lower, np.maximum(upper, lower + ROOM * np.abs(upper) + 1e-6)
 
 
-def rows_of(
-    method: str, found: dict[str, list[Deployed]], names: list[str]
-) -> list[dict[str, Any]]:
+def rows_of(method: str, found: dict[str, list[Deployed]], names: list[str]) -> list[Table]:
     """A row for each target: normalised returns of what is deployed at last, the curve over trials,
     and at each budget.
     """
@@ -247,7 +246,7 @@ def rows_of(
     return out
 
 
-def _interval(values: np.ndarray) -> dict[str, Any] | None:
+def _interval(values: np.ndarray) -> Table | None:
     if not np.isfinite(values).all():
         return None
     low, high = bootstrap_interval(values)

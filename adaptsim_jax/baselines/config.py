@@ -1,7 +1,6 @@
 """What a comparison runs, and what that of each task starts from."""
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from adaptsim_jax.adaptation.training import TrainConfig, default_config
 from adaptsim_jax.baselines import mdn
@@ -10,6 +9,7 @@ from adaptsim_jax.baselines.direct import DirectConfig
 from adaptsim_jax.baselines.registry import exact_methods, learned_methods, steps_methods
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import check_counts
 
 
@@ -57,11 +57,11 @@ class CompareConfig:
     train: TrainConfig = field(default_factory=TrainConfig)
     sysid: SysIdConfig = field(default_factory=SysIdConfig)
     target: str = ""
-    target_options: dict[str, Any] = field(default_factory=dict)
+    target_options: Table = field(default_factory=dict)
     direct: DirectConfig = field(default_factory=DirectConfig)
     bayesopt: BayesOptConfig = field(default_factory=BayesOptConfig)
     steps: StepsConfig = field(default_factory=StepsConfig)
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Table = field(default_factory=dict)
 
     def __post_init__(self):
         check_counts(self, ("seeds", "iterations", "starts"), "compare: ", ";")

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.adaptation.analytic import Analytic, AnalyticConfig
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
@@ -29,7 +30,7 @@ from adaptsim_jax.tasks.registry import make_task
 # of the real one. It is no method for a robot, but it says what the parameterization allows with as
 # many target evaluations as the others use. See `docs/howto/differentiable.md`.
 
-Slope = Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]]
+Slope = Callable[[Array, Array], tuple[Array, Array]]
 LONGEST_MOVE = 0.25  # of the range, for any parameter in one step
 
 
@@ -38,32 +39,28 @@ class DescentState(NamedTuple):
     stride `[]`.
     """
 
-    u: jax.Array
-    gradient: jax.Array
-    stride: jax.Array
+    u: Array
+    gradient: Array
+    stride: Array
 
 
 class DescentInfo(NamedTuple):
-    """What was seen at the mean that a step arrived at: `u [D]`, the cost there `[]`, the projected
-    gradient's norm `[]`.
-    """
+    """What was seen at the mean that a step arrived at: `u [D]`, and the cost there `[]`."""
 
-    u: jax.Array
-    cost: jax.Array
-    stationarity: jax.Array
+    u: Array
+    cost: Array
 
 
-def init(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+def init(slope: Slope, u: Array, target: Array) -> tuple[DescentState, DescentInfo]:
     """Evaluate the first mean `u [D]` in `target [D]` (physical). `slope(u, target) -> (cost [],
     gradient [D])`.
     """
     cost, gradient = _log_slope(slope, u, target)
-    return DescentState(u, gradient, 0.1 / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-12)), _info(
-        u, cost, gradient
-    )
+    stride = 0.1 / jnp.maximum(jnp.max(jnp.abs(gradient)), 1e-12)
+    return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
-def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentState, DescentInfo]:
+def step(slope: Slope, state: DescentState, target: Array) -> tuple[DescentState, DescentInfo]:
     """One projected gradient step on the logarithm of the cost, which makes strides free of its
     unit.
 
@@ -78,10 +75,10 @@ def step(slope: Slope, state: DescentState, target: jax.Array) -> tuple[DescentS
     stride = jnp.where(
         curvature > 1e-12, jnp.sum(moved**2) / jnp.maximum(curvature, 1e-12), 2.0 * state.stride
     )
-    return DescentState(u, gradient, stride), _info(u, cost, gradient)
+    return DescentState(u, gradient, stride), DescentInfo(u, cost)
 
 
-def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10) -> DescentInfo:
+def descend(slope: Slope, u: Array, target: Array, iterations: int = 10) -> DescentInfo:
     """`init` and `iterations` steps: `DescentInfo` with a leading axis `[iterations + 1]`. Pure;
     vmap over starts and targets.
     """
@@ -90,14 +87,10 @@ def descend(slope: Slope, u: jax.Array, target: jax.Array, iterations: int = 10)
     return jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
 
 
-def _log_slope(slope: Slope, u: jax.Array, target: jax.Array) -> tuple[jax.Array, jax.Array]:
+def _log_slope(slope: Slope, u: Array, target: Array) -> tuple[Array, Array]:
     cost, gradient = slope(u, target)
     gradient = gradient / cost
     return cost, jnp.where(jnp.isfinite(gradient), gradient, 0.0)
-
-
-def _info(u: jax.Array, cost: jax.Array, gradient: jax.Array) -> DescentInfo:
-    return DescentInfo(u, cost, jnp.linalg.norm(jnp.clip(u - gradient, 0.0, 1.0) - u))
 
 
 def task_of(run: MethodRun, late: bool) -> Task:
@@ -190,7 +183,7 @@ def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
     out = []
     for i, target in enumerate(run.targets):
         keys = jax.vmap(lambda s, i=i: jax.random.fold_in(jax.random.key(s), i))(run.seeds)
-        out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32)).means))
+        out.append(np.asarray(adapt(keys, jnp.asarray(target, jnp.float32))))
         run.report(i + 1, len(run.targets))
     return Visits(np.stack(out)[:, :, None], config.iterations + 1)
 

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import Array
 
 from adaptsim_jax.learners.bdq import held
 
@@ -24,9 +25,9 @@ class Mixture(NamedTuple):
     (precision = L L^T).
     """
 
-    log_weights: jax.Array
-    means: jax.Array
-    factors: jax.Array
+    log_weights: Array
+    means: Array
+    factors: Array
 
 
 @dataclass(frozen=True)
@@ -55,7 +56,7 @@ class MixtureNetwork(nn.Module):
     hidden: tuple[int, ...] = (64, 64)
 
     @nn.compact
-    def __call__(self, x: jax.Array) -> Mixture:
+    def __call__(self, x: Array) -> Mixture:
         for width in self.hidden:
             x = nn.tanh(nn.Dense(width)(x))
         K, D = self.components, self.dim
@@ -77,7 +78,7 @@ class MixtureNetwork(nn.Module):
         return Mixture(jnp.log(weights), means, factors)
 
 
-def log_prob(mixture: Mixture, theta: jax.Array) -> jax.Array:
+def log_prob(mixture: Mixture, theta: Array) -> Array:
     """Log density `[]` of one mixture at `theta [D]`."""
     whitened = jnp.einsum("kij,ki->kj", mixture.factors, theta[None] - mixture.means)
     log_det = jnp.sum(jnp.log(jnp.diagonal(mixture.factors, axis1=-2, axis2=-1)), axis=-1)
@@ -87,7 +88,7 @@ def log_prob(mixture: Mixture, theta: jax.Array) -> jax.Array:
     )
 
 
-def sample(key: jax.Array, mixture: Mixture, n: int) -> jax.Array:
+def sample(key: Array, mixture: Mixture, n: int) -> Array:
     """Draw `[n, D]` from one mixture."""
     pick_key, noise_key = jax.random.split(key)
     picked = jax.random.categorical(pick_key, mixture.log_weights, shape=(n,))
@@ -96,39 +97,19 @@ def sample(key: jax.Array, mixture: Mixture, n: int) -> jax.Array:
     return mixture.means[picked] + jnp.einsum("nij,nj->ni", covariance_roots[picked], noise)
 
 
-def _inverse_transpose(factor: jax.Array) -> jax.Array:
+def _inverse_transpose(factor: Array) -> Array:
     identity = jnp.eye(factor.shape[-1], dtype=factor.dtype)
     return jax.scipy.linalg.solve_triangular(factor, identity, lower=True).T
 
 
-def moments(mixture: Mixture) -> tuple[jax.Array, jax.Array]:
-    """Mean `[D]` and covariance `[D, D]` of one mixture (not truncated)."""
-    weights = jnp.exp(mixture.log_weights)
-    mean = weights @ mixture.means
-    roots = jax.vmap(_inverse_transpose)(mixture.factors)
-    within = jnp.einsum("k,kij,klj->il", weights, roots, roots)
-    offset = mixture.means - mean[None]
-    return mean, within + jnp.einsum("k,ki,kj->ij", weights, offset, offset)
-
-
-class DensityFit(NamedTuple):
-    """A fitted network and what a diagnostic needs: losses on the held-out part `[checks]`, and the
-    best of them.
-    """
-
-    variables: dict
-    held_out_loss: jax.Array
-    best_loss: jax.Array
-
-
 def fit(
-    key: jax.Array,
+    key: Array,
     variables: dict,
-    loss: Callable[[dict, jax.Array, jax.Array], jax.Array],
-    x: jax.Array,
-    theta: jax.Array,
+    loss: Callable[[dict, Array, Array], Array],
+    x: Array,
+    theta: Array,
     config: FitConfig,
-) -> DensityFit:
+) -> dict:
     """Fit `variables` to pairs `x [n, obs]`, `theta [n, D]` by minimising the mean of
     `loss(variables, x_i, theta_i)`.
 
@@ -156,17 +137,16 @@ def fit(
         now = mean_loss(state[0], x[training:], theta[training:])
         better = now < best_loss  # a NaN is never better
         best = jax.tree.map(lambda a, b: jnp.where(better, a, b), state[0], best)
-        return (state, best, jnp.where(better, now, best_loss)), now
+        return (state, best, jnp.where(better, now, best_loss)), None
 
     start = (variables, optimiser.init(variables))
     first = jnp.asarray(jnp.inf, x.dtype)
-    (_, best, best_loss), losses = jax.lax.scan(
-        check, (start, variables, first), jax.random.split(key, checks)
-    )
-    return DensityFit(best, losses, best_loss)
+    keys = jax.random.split(key, checks)
+    (_, best, _), _ = jax.lax.scan(check, (start, variables, first), keys)
+    return best
 
 
-def standardise(x: jax.Array) -> tuple[jax.Array, jax.Array]:
+def standardise(x: Array) -> tuple[Array, Array]:
     """Shift and scale `[obs]` of data `[n, obs]`; a channel that hardly varies is scaled by a small
     floor, not by zero.
     """

@@ -8,7 +8,6 @@ an entry point of the group `adaptsim.baselines`, called `exact.NAME`, `learned.
 """
 
 from collections.abc import Callable
-from typing import Any
 
 from adaptsim_jax.core.registry import Registry
 
@@ -22,7 +21,7 @@ def _in(module: str, *names: str) -> dict[str, str]:
     return {name: f"{HERE}.{module}:{name}" for name in names}
 
 
-EXACT: Registry[Callable[..., Any]] = Registry(
+EXACT: Registry[Callable] = Registry(
     "baselines",
     _in(
         "exact_methods",
@@ -38,21 +37,19 @@ EXACT: Registry[Callable[..., Any]] = Registry(
     within="exact",
 )
 ADAPTING = _in("adapting", "adaptsim", "sysid_bayes", "sysid_point") | _in("bayesopt", "bayesopt")
-LEARNED: Registry[Callable[..., Any]] = Registry(
+LEARNED: Registry[Callable] = Registry(
     "baselines",
     ADAPTING | _in("direct", "udr", "udr_target", "learn_in_target"),
     within="learned",
 )
-STEPS: Registry[Callable[..., Any]] = Registry(
+STEPS: Registry[Callable] = Registry(
     "baselines",
     ADAPTING
     | _in("steps_search", "cma_es", "sbi", "gradient")
     | _in("steps_trained", "fine_tune", "nominal", "udr", "udr_wide", "best_in_omega", "oracle"),
     within="steps",
 )
-PROBLEMS: Registry[Callable[..., Any]] = Registry(
-    "problems", {"pendulum": f"{HERE}.bounds:pendulum_problem"}
-)
+PROBLEMS: Registry[Callable] = Registry("problems", {"pendulum": f"{HERE}.bounds:pendulum_problem"})
 
 
 def exact_methods() -> tuple[str, ...]:

@@ -17,6 +17,7 @@ import numpy as np
 from adaptsim_jax import __version__
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.core.traced import digest_of, digest_of_arrays
 from adaptsim_jax.space import Space, gaussian
@@ -64,7 +65,7 @@ def row(
     oracle: float | None,
     target_trials: int | None,
     **extras: Any,
-) -> dict[str, Any]:
+) -> Table:
     """One row from normalised rewards `curves [S, I + 1]` (the best of the N distributions at each
     iteration).
 

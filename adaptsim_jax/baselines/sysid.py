@@ -15,6 +15,7 @@ import flax.linen as nn
 import jax
 import jax.numpy as jnp
 import optax
+from jax import Array
 
 from adaptsim_jax.baselines import mdn
 from adaptsim_jax.core.errors import BadInput, check_counts
@@ -79,54 +80,34 @@ class SysIdState(NamedTuple):
     """
 
     dist: Gaussian
-    policy: jax.Array
+    policy: Array
     variables: dict
-    collected: jax.Array
-    count: jax.Array
-
-
-class SysIdInfo(NamedTuple):
-    """For people and tests: E in use `mean, std [D]`, the target's observation, the fit's held-out
-    loss, share inside.
-    """
-
-    mean: jax.Array
-    std: jax.Array
-    observation: jax.Array
-    held_out_loss: jax.Array
-    inside: jax.Array
-
-
-class Identified(NamedTuple):
-    """Means of E visited, `[iterations + 1, D]` (unit coordinates, from the start at the centre),
-    and each step's SysIdInfo.
-    """
-
-    means: jax.Array
-    info: SysIdInfo
+    collected: Array
+    count: Array
 
 
 def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`, pure: jit it, and vmap it over keys and
-    targets.
+    """`adapt(key, target [D] physical) -> means of E [iterations + 1, D]` (unit coordinates, from
+    the start at the centre), pure: jit it, and vmap it over keys and targets.
     """
 
-    def adapt(key: jax.Array, target: jax.Array) -> Identified:
+    def adapt(key: Array, target: Array) -> Array:
         start_key, first_key, rest_key = jax.random.split(key, 3)
-        state = start(start_key, task, estimator, config)
-        state, first = _iterate(first_key, state, target, task, estimator, config, config.first_fit)
+        begun = start(start_key, task, estimator, config)
+        first = _iterate(first_key, begun, target, task, estimator, config, config.first_fit)
 
         def one(state, step_key):
-            return _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+            after = _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+            return after, after.dist.mean
 
-        state, rest = jax.lax.scan(one, state, jax.random.split(rest_key, config.iterations - 1))
-        info = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), first, rest)
-        return Identified(jnp.concatenate([info.mean, state.dist.mean[None]]), info)
+        keys = jax.random.split(rest_key, config.iterations - 1)
+        _, rest = jax.lax.scan(one, first, keys)
+        return jnp.concatenate([begun.dist.mean[None], first.dist.mean[None], rest])
 
     return adapt
 
 
-def start(key: jax.Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
+def start(key: Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
     """Before any data of the target: E at the centre of Omega, a policy trained there."""
     policy_key, train_key, net_key = jax.random.split(key, 3)
     state = untrained(net_key, policy_key, task, estimator, config)
@@ -145,19 +126,14 @@ def untrained(
     return SysIdState(dist, task.init_policy(policy_key), variables, collected, jnp.zeros((), int))
 
 
-def _iterate(
-    key, state, target, task, estimator, config, fit_config
-) -> tuple[SysIdState, SysIdInfo]:
-    real_key, *keys = jax.random.split(key, 5)
+def _iterate(key, state, target, task, estimator, config, fit_config) -> SysIdState:
+    real_key, *keys, train_key = jax.random.split(key, 5)
     real = task.observe(task.rollout(real_key, state.policy, target))
-    *keys, train_key = keys
-    inferred, info = infer(keys, state, real, task, estimator, config, fit_config)
-    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy)), info
+    inferred = infer(keys, state, real, task, estimator, config, fit_config)
+    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy))
 
 
-def infer(
-    keys, state: SysIdState, real: jax.Array, task, estimator, config, fit_config
-) -> tuple[SysIdState, SysIdInfo]:
+def infer(keys, state: SysIdState, real: Array, task, estimator, config, fit_config) -> SysIdState:
     """E after `real [obs]` was observed of `state.policy` in the target, the policy as it was;
     `keys [3]`.
     """
@@ -165,7 +141,7 @@ def infer(
     x, u = simulate(data_key, task, state.policy, config)
     shift, scale = mdn.standardise(x)
     noise = config.noise * jax.random.normal(jax.random.fold_in(data_key, 1), x.shape)
-    fitted = mdn.fit(
+    variables = mdn.fit(
         fit_key,
         state.variables,
         estimator.loss,
@@ -173,21 +149,18 @@ def infer(
         u,
         fit_config,
     )
-    draws = estimator.infer(infer_key, fitted.variables, (real - shift) / scale)
+    draws = estimator.infer(infer_key, variables, (real - shift) / scale)
     collected = state.collected.at[state.count].set(draws)
     used = collected if config.pool else draws[None]
     if config.pool:
         marked = jnp.arange(collected.shape[0]) <= state.count
     else:
         marked = jnp.ones(1, bool)
-    dist, inside = within_omega(used, marked, config.least_std)
-    info = SysIdInfo(state.dist.mean, state.dist.std, real, fitted.best_loss, inside)
-    return SysIdState(dist, state.policy, fitted.variables, collected, state.count + 1), info
+    dist, _ = within_omega(used, marked, config.least_std)
+    return SysIdState(dist, state.policy, variables, collected, state.count + 1)
 
 
-def simulate(
-    key: jax.Array, task: Task, policy, config: SysIdConfig
-) -> tuple[jax.Array, jax.Array]:
+def simulate(key: Array, task: Task, policy, config: SysIdConfig) -> tuple[Array, Array]:
     """Observations `[n, obs]` of one policy at parameters `[n, D]` (unit coordinates) drawn
     uniformly from Omega.
     """
@@ -201,9 +174,7 @@ def simulate(
     return jax.vmap(observe)(jnp.resize(keys, (config.simulations,)), u), u
 
 
-def within_omega(
-    draws: jax.Array, marked: jax.Array, least_std: float
-) -> tuple[Gaussian, jax.Array]:
+def within_omega(draws: Array, marked: Array, least_std: float) -> tuple[Gaussian, Array]:
     """Gaussian E from posterior draws `[I, n, D]` of the iterations marked in `marked [I]`; also
     the share inside Omega.
 
@@ -228,22 +199,20 @@ def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Full-covariance mixture over unit coordinates; infers by drawing from it."""
     network: Any = mdn.MixtureNetwork(dim, config.components, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> Any:
+    def init(key: Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
-    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+    def loss(variables: dict, x: Array, u: Array) -> Array:
         return -mdn.log_prob(network.apply(variables, x), u)
 
-    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+    def infer(key: Array, variables: dict, x: Array) -> Array:
         return mdn.sample(key, network.apply(variables, x), config.draws)
 
     return Estimator(init, loss, infer)
 
 
 def make_sysid_bayes(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`; the policy follows the mean of the posterior
-    within Omega.
-    """
+    """As `make_sysid`; the policy follows the mean of the posterior within Omega."""
     return make_sysid(task, mixture_estimator(task.space.dim, config), config)
 
 
@@ -256,7 +225,7 @@ class PointNetwork(nn.Module):
     hidden: tuple[int, ...] = (128, 128)
 
     @nn.compact
-    def __call__(self, x: jax.Array) -> jax.Array:
+    def __call__(self, x: Array) -> Array:
         for width in self.hidden:
             x = nn.tanh(nn.Dense(width)(x))
         return nn.sigmoid(nn.Dense(self.dim)(x))
@@ -266,13 +235,13 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
     """Smooth-L1 regression; infers the one point that it regresses to."""
     network: Any = PointNetwork(dim, config.hidden)
 
-    def init(key: jax.Array, obs_dim: int) -> Any:
+    def init(key: Array, obs_dim: int) -> Any:
         return network.init(key, jnp.zeros(obs_dim))
 
-    def loss(variables: dict, x: jax.Array, u: jax.Array) -> jax.Array:
+    def loss(variables: dict, x: Array, u: Array) -> Array:
         return jnp.mean(optax.huber_loss(network.apply(variables, x), u, delta=1.0))
 
-    def infer(key: jax.Array, variables: dict, x: jax.Array) -> jax.Array:
+    def infer(key: Array, variables: dict, x: Array) -> Array:
         del key
         return network.apply(variables, x)[None]
 
@@ -280,7 +249,5 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
 
 
 def make_sysid_point(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """`adapt(key, target [D] physical) -> Identified`; the policy is trained at the newest
-    point.
-    """
+    """As `make_sysid`; the policy is trained at the newest point."""
     return make_sysid(task, point_estimator(task.space.dim, config), config)

@@ -1,5 +1,5 @@
-"""One module a command, with `arguments(parser)` and `run(args) -> exit code`; only `run` loads
-JAX.
+"""One module a command, with `run(args) -> exit code`, which alone loads JAX; what each takes is in
+`options.toml`.
 """
 
 SUMMARIES = {

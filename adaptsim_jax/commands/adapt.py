@@ -7,6 +7,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim adapt runs/a --target ood-1
   adaptsim adapt runs/a --target my_robot.toml     m1 = 1.4, m2 = 0.6, ... one line each
@@ -16,31 +18,6 @@ EXAMPLES = """
   adaptsim adapt runs/s --target ood-1 --video     the same of scooping
   adaptsim adapt runs/e --target dry --video       a run of an env.toml: returns, and a film of its first and best policy
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument("folder", metavar="RUN", help="a run folder of `adaptsim train`")
-    parser.add_argument(
-        "--target",
-        required=True,
-        metavar="T",
-        help="wd, ood-1 .. ood-4, a TOML file, or a model.toml",
-    )
-    parser.add_argument(
-        "--starts", type=positive, default=2, metavar="N", help="initial distributions (2)"
-    )
-    parser.add_argument(
-        "--iterations", type=positive, default=10, metavar="I", help="adaptation steps (10)"
-    )
-    parser.add_argument("--out", metavar="DIR", help="default: RUN/adapt-TARGET")
-    parser.add_argument("--json", action="store_true", help="print result.json")
-    parser.add_argument(
-        "--video",
-        action="store_true",
-        help="pushing, scooping, environments: a film too (mp4 with the extra [video], else gif)",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -96,9 +73,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def describe(
-    result: Any, task: Any, name: str, params: Any, args: argparse.Namespace
-) -> dict[str, Any]:
+def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Namespace) -> Table:
     """What Phase 2 found, as plain data: the best policy, where it came from, and every trial; None
     for what is not finite.
     """
@@ -149,7 +124,7 @@ def number(value: Any) -> float | None:
     return None
 
 
-def _show(found: dict[str, Any]) -> None:
+def _show(found: Table) -> None:
     best = found["best"]
     print(
         f"target {found['target']['name']}: best reward {_digits(best['reward'])} of "

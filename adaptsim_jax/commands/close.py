@@ -12,7 +12,8 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+
+from adaptsim_jax.core.config import Table
 
 EXAMPLES = """
   adaptsim close logs env.toml --out closed
@@ -21,27 +22,6 @@ A run that was stopped goes on with the same command.
 """
 METHODS = ("nominal", "udr", "adaptsim")
 WORLDS = ("declared", "mended")
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive, settable
-
-    parser.add_argument(
-        "logs", metavar="LOGS", help="recordings of the robot, as diagnose has them"
-    )
-    parser.add_argument(
-        "task", metavar="ENV", help="an env.toml of the same robot, with its targets"
-    )
-    parser.add_argument("--out", required=True, metavar="DIR", help="the folder to write")
-    parser.add_argument("--model", metavar="FILE", help="the declared model, as diagnose has it")
-    parser.add_argument(
-        "--trials", type=positive, default=10, metavar="N", help="target trials of each (10)"
-    )
-    parser.add_argument(
-        "--seeds", type=positive, default=3, metavar="N", help="seeds of each policy (3)"
-    )
-    parser.add_argument("--json", action="store_true", help="print result.json")
-    settable(parser, ", of both comparisons")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -54,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
     read_env(args.task)  # refused before anything is written
     with output(args.out) as out, one_writer(out):
         stages = commands_of(args, out)
-        results: dict[str, Any] = {}
+        results: Table = {}
         done("diagnosis", out / "diagnosis" / "report.json", stages["diagnosis"])
         report = json.loads((out / "diagnosis" / "report.json").read_text(encoding="utf-8"))
         for world in WORLDS:
@@ -111,9 +91,7 @@ def done(stage: str, file: Path, words: list[str]) -> None:
         )
 
 
-def closed(
-    report: dict[str, Any], results: dict[str, dict[str, Any]], trials: int
-) -> dict[str, Any]:
+def closed(report: Table, results: dict[str, Table], trials: int) -> Table:
     """What result.json holds: of each target, simulator and method the mean return over seeds."""
     rows = []
     for world, found in results.items():

@@ -7,6 +7,8 @@ import shlex
 import sys
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim compare pendulum --out results
   adaptsim compare pendulum --out quick --seeds 2 --settings wd,ood-1 --methods adaptsim,sysid-point
@@ -16,47 +18,6 @@ EXAMPLES = """
   adaptsim compare pushing --out drake --seeds 1 --settings ood-1 --methods udr-target,oracle --target drake
 A comparison that was stopped, or that failed, goes on with the same command: what was done is kept in DIR/unfinished.
 """  # noqa: E501
-METHODS = (
-    "pendulum: adaptsim, adaptsim-state, adaptsim-analytic, sysid-bayes, sysid-bayes-state, "
-    "sysid-point, sysid-point-state, gradient, udr, best-in-omega; pushing and scooping: "
-    "adaptsim, sysid-bayes, sysid-point, bayesopt, udr, udr-target, learn-in-target, oracle; an "
-    "env.toml: adaptsim, sysid-bayes, sysid-point, sbi, bayesopt, cma-es, gradient, fine-tune, "
-    "nominal, udr, udr-wide, best-in-omega, oracle"
-)
-ENGINES = "pushing: planar, native, mjx or drake; scooping: hydro, native, mjx or drake"
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import of_diagnosis, positive, settable
-
-    parser.add_argument(
-        "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
-    )
-    parser.add_argument(
-        "--out",
-        required=True,
-        metavar="DIR",
-        help="folder for results.json, table, figures and report.html",
-    )
-    parser.add_argument(
-        "--seeds",
-        type=positive,
-        metavar="N",
-        help="seeds of each method (pendulum 20, an env.toml 3, else 10)",
-    )
-    parser.add_argument("--methods", metavar="A,B", help=f"default: all. {METHODS}")
-    parser.add_argument(
-        "--settings",
-        metavar="A,B",
-        help="default: all, that is wd and ood-1 .. ood-4, or the targets of an env.toml",
-    )
-    of_diagnosis(parser)
-    parser.add_argument("--target", metavar="ENGINE", help=f"where targets are run. {ENGINES}")
-    parser.add_argument(
-        "--config", metavar="FILE", help="a TOML file of the comparison's config to start from"
-    )
-    parser.add_argument("--json", action="store_true", help="print results.json")
-    settable(parser, ", such as iterations=5 or train.phase1.trajectories=2000")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -84,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def found_figure(results: dict[str, Any], options: dict[str, Any], out: Any) -> list[Any]:
+def found_figure(results: Table, options: Table, out: Any) -> list[Any]:
     """`parameters_found.png` in `out`, where methods adapted the parameters of a task whose
     policies are learned.
     """

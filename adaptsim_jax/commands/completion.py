@@ -9,16 +9,11 @@ from adaptsim_jax.commands.parser import TASKS
 
 FILES = ("DATA", "DIR", "FILE", "MODEL", "RUN", "RUN|FILE", "SPEC.toml | show DIR")
 """What the help calls an argument that is a file or a folder."""
-SHELLS = ("bash", "zsh", "fish")
 EXAMPLES = """
   adaptsim completion bash > ~/.local/share/bash-completion/completions/adaptsim
   adaptsim completion zsh > ~/.zfunc/_adaptsim          with fpath+=~/.zfunc before compinit in ~/.zshrc
   adaptsim completion fish > ~/.config/fish/completions/adaptsim.fish
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("shell", choices=SHELLS, metavar="SHELL", help="bash, zsh or fish")
 
 
 def run(args: argparse.Namespace) -> int:

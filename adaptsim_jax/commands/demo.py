@@ -25,13 +25,6 @@ TITLES = {
 }
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--out", default="demo_out", metavar="DIR", help="default: demo_out")
-    parser.add_argument(
-        "--full", action="store_true", help="the long tour: larger sizes, all baselines, films"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """The tour, on small sizes unless `--full`."""
     from adaptsim_jax.core.files import output_folder

@@ -13,6 +13,7 @@ from adaptsim_jax.adaptation.training import TrainConfig, default_config
 from adaptsim_jax.baselines.config import default_comparison
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 
 TASK, TARGET = "pendulum", "ood-1"
 HINGE = Path(__file__).parents[1] / "attribution" / "sample" / "recording"
@@ -31,7 +32,7 @@ class ContactConfig:
     updates: int
     starts: int = 2
     iterations: int = 8
-    options: dict[str, Any] = field(default_factory=dict)
+    options: Table = field(default_factory=dict)
 
     def train(self, task: str, seed: int) -> TrainConfig:
         """Phase 1 of `task` at these sizes; all else is the task's own default."""

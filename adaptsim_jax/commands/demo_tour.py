@@ -40,11 +40,11 @@ from adaptsim_jax.commands.demo_config import (
 from adaptsim_jax.commands.diagnose import diagnose
 from adaptsim_jax.commands.phase2 import phase2
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder, write_json
 from adaptsim_jax.core.parallel import worker_process
 from adaptsim_jax.core.progress import Parts, Report, silent_parts
 from adaptsim_jax.core.store import CONFIG, RunFolder
-from adaptsim_jax.report.diagnosis import write_diagnosis
 from adaptsim_jax.report.film import write_film
 from adaptsim_jax.tasks.registry import TASKS
 
@@ -70,7 +70,7 @@ class Pendulum(NamedTuple):
     """
 
     adapted: list[Adapted]
-    results: dict[str, Any]
+    results: Table
     reward_map: RewardMap
 
 
@@ -162,7 +162,7 @@ class Before(NamedTuple):
     """
 
     learned: int
-    found: dict[str, Any]
+    found: Table
     start: int
     trials: int
     before: float
@@ -227,15 +227,6 @@ def contact_part(
     )
 
 
-class Diagnosed(NamedTuple):
-    """report: as report.json. held_out: Measured and simulated angles of a trial, as the page of a
-    diagnosis is given them.
-    """
-
-    report: dict[str, Any]
-    held_out: list[dict[str, Any]]
-
-
 class DemoResult(NamedTuple):
     """What the tour found: adapted pendulum runs, their comparison (as results.json) and reward
     map, the push, the scoop, the diagnosis, where it was asked for the report on the second sample,
@@ -243,12 +234,12 @@ class DemoResult(NamedTuple):
     """
 
     adapted: list[Adapted]
-    results: dict[str, Any]
+    results: Table
     reward_map: Any
     push: Before
     scoop: Before
-    diagnosis: Diagnosed
-    double: dict[str, Any] | None
+    diagnosis: Table
+    double: Table | None
     commands: dict[str, str]
 
 
@@ -284,7 +275,7 @@ def demo(
 
 def own_parts(
     out: Path, seed: int, config: DemoConfig, progress: Parts
-) -> tuple[Pendulum, Diagnosed, Any]:
+) -> tuple[Pendulum, Table, Any]:
     """The pendulum and what is diagnosed."""
     report_of = _named(progress)
     pendulum = pendulum_part(out, seed, config, report_of)
@@ -292,22 +283,16 @@ def own_parts(
     return (
         pendulum,
         hinge,
-        diagnosed(PENDULUM, out / "double", report_of("double")).report if config.double else None,
+        diagnosed(PENDULUM, out / "double", report_of("double")) if config.double else None,
     )
 
 
-def diagnosed(data: Path, out: Path, report: Report) -> Diagnosed:
-    """Diagnose a sample into the folder `out`."""
-    shown: dict[str, Any] = {}
-
-    def page(folder: Path, found: dict[str, Any], evidence: dict[str, Any]) -> None:
-        write_diagnosis(folder, found, evidence)
-        shown.update(evidence)
-
+def diagnosed(data: Path, out: Path, report: Report) -> Table:
+    """Diagnose a sample into the folder `out`; the report, as report.json."""
     report(0, 1, "reading")
-    found = diagnose(data, out=output_folder(out), progress=report, page=page)
+    found = diagnose(data, out=output_folder(out), progress=report)
     report(1, 1, f"verdict: {found['verdict'].replace('_', ' ')}")
-    return Diagnosed(found, list(shown.get("held_out") or [])[:1])
+    return found
 
 
 def contact_parts(

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from adaptsim_jax.commands.parser import stretch
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 
 if TYPE_CHECKING:
@@ -30,60 +30,6 @@ EXAMPLES = """
   adaptsim diagnose logs/tanks --out out12 --simulator tanks.py:of_folder       a simulator of your own
   adaptsim diagnose run.mcap --model robot.urdf --out out5                  a log by itself, and a better robot.xml back
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "data",
-        metavar="DATA",
-        help="a folder with meta.toml and one CSV or npz a trial, or a log (CSV, bag, MCAP)",
-    )
-    parser.add_argument(
-        "--out",
-        required=True,
-        metavar="DIR",
-        help="folder for report.json, report.html, model.toml or model.xml",
-    )
-    parser.add_argument(
-        "--model",
-        metavar="FILE",
-        help="MJCF or URDF of the mechanism, in place of the one that meta.toml names",
-    )
-    parser.add_argument(
-        "--without", nargs="+", default=[], metavar="TRIAL", help="trials to leave out, as 03,05"
-    )
-    parser.add_argument(
-        "--simulator",
-        metavar="NAME",
-        help="of a mechanism: tree (of joints), or mujoco itself (a base that moves, contact, "
-        "loops; a shorter catalogue); default: as meta.toml says, else what replay takes. One of "
-        "your own: module:function or file.py:function, of DATA to a Simulator",
-    )
-    parser.add_argument("--json", action="store_true", help="print report.json")
-    parser.add_argument(
-        "--as-declared",
-        action="store_true",
-        help="take columns and lengths as declared, though the motion contradicts them",
-    )
-    parser.add_argument(
-        "--yardstick",
-        choices=("stretches", "whole", "torque"),
-        help="of a mechanism, by which effects are judged (default: the one that tells most of "
-        "this recording)",
-    )
-    parser.add_argument(
-        "--horizon",
-        type=stretch,
-        metavar="S",
-        help="of a mechanism, length of simulated stretches (default 0.5)",
-    )
-    parser.add_argument(
-        "--exclude",
-        nargs="+",
-        default=[],
-        metavar="EFFECT",
-        help="effects that are not to be considered; `adaptsim effects TASK` lists them all",
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -156,7 +102,7 @@ def of_trials(data: Path) -> str | None:
     return None
 
 
-Judge = Callable[..., dict[str, Any]]
+Judge = Callable[..., Table]
 """What is left to do of recordings that were read: `(out, exclude, progress) -> report`."""
 
 
@@ -264,7 +210,7 @@ def mechanism(args: argparse.Namespace, without: list[str]) -> Judge:
     )
 
 
-def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, replays: bool) -> int:
+def print_answer(args: argparse.Namespace, result: Table, out: Path, replays: bool) -> int:
     """The summary for a person and what to do next, or all of the report as JSON. replays: Whether
     `replay` takes the model.
     """
@@ -290,7 +236,7 @@ def print_answer(args: argparse.Namespace, result: dict[str, Any], out: Path, re
     return 0
 
 
-def diagnose(data: str | Path | Log, **options: Any) -> dict[str, Any]:
+def diagnose(data: str | Path | Log, **options: Any) -> Table:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:

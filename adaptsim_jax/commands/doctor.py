@@ -17,6 +17,7 @@ from typing import Any
 
 from adaptsim_jax import __version__
 from adaptsim_jax.core import process
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.core.parallel import cores
 
@@ -27,13 +28,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--json", action="store_true", help="print JSON")
-    parser.add_argument(
-        "--costs", action="store_true", help="measure what a trajectory costs in each engine, too"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """0 where everything that the core needs works here, else 1."""
     from adaptsim_jax.commands.parser import next_step
@@ -42,17 +36,13 @@ def run(args: argparse.Namespace) -> int:
     rows = costs() if args.costs else iter(())
     if args.json:
         print(json.dumps(found | ({"costs": list(rows)} if args.costs else {}), indent=1))
-        if found["faults"]:
-            return 1
-        return 0
+        return int(bool(found["faults"]))
     show(found)
     for row in rows:
         print(cost_line(row), flush=True)
     if not found["faults"]:
         next_step("demo    the tour, a few minutes")
-    if found["faults"]:
-        return 1
-    return 0
+    return int(bool(found["faults"]))
 
 
 # ---------------------------------------------------------------- what works
@@ -63,7 +53,7 @@ _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hing
 <geom type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="1"/></body></worldbody></mujoco>"""  # noqa: E501
 
 
-def examine() -> dict[str, Any]:
+def examine() -> Table:
     """Versions, devices, backends, compile cache; `faults` has a line for each thing the core
     lacks.
     """
@@ -85,7 +75,7 @@ def examine() -> dict[str, Any]:
     return found
 
 
-def show(found: dict[str, Any]) -> None:
+def show(found: Table) -> None:
     """Print what `examine` found, for a person."""
     from rich.console import Console
     from rich.markup import escape
@@ -132,7 +122,7 @@ def _devices() -> list[str]:
         return [f"none ({_line(error)})"]
 
 
-def _try(trial: Callable[[], str]) -> dict[str, Any]:
+def _try(trial: Callable[[], str]) -> Table:
     start = time.perf_counter()
     try:
         # MJX says on its first import that optional parts are absent; that belongs in no report
@@ -205,7 +195,7 @@ _TRIALS = {"jax": _try_jax, "native": _try_native, "mjx": _try_mjx, "drake": _tr
 _NEEDED = ("jax", "native", "mjx")
 
 
-def _faults(found: dict[str, Any]) -> list[str]:
+def _faults(found: Table) -> list[str]:
     backends, versions = found["backends"], found["versions"]
     faults = [
         f"{name}: {backends[name]['note']}" for name in _NEEDED if not backends[name]["works"]
@@ -233,7 +223,7 @@ default.
 """
 
 
-def costs(wanted: tuple[str, ...] = ()) -> Iterator[dict[str, Any]]:
+def costs(wanted: tuple[str, ...] = ()) -> Iterator[Table]:
     """A row for each task and engine (of the tasks `wanted`, by default all), as it is measured:
     seconds a trajectory, the visits alone, without what is learned from them and the training of
     task policies; and seconds to compile a visit.
@@ -253,7 +243,7 @@ def config_of(task: str, engine: str) -> Any:
     return default_config(task)
 
 
-def measure(task: str, config: Any) -> dict[str, Any]:
+def measure(task: str, config: Any) -> Table:
     """`VISITS` visits of Phase 1 as `config` has them, of untrained policies at random means of E
     in random targets.
     """
@@ -286,7 +276,7 @@ def measure(task: str, config: Any) -> dict[str, Any]:
     return {"s_a_trajectory": each * (config.phase1.horizon + 1), "compile_s": compiled - begin}
 
 
-def cost_line(row: dict[str, Any]) -> str:
+def cost_line(row: Table) -> str:
     """A row for a person."""
     name = f"{row['task']} in {row['engine']}"
     return (

@@ -6,6 +6,7 @@ import argparse
 import json
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.effects.registry import ALSO, catalogue
 
 CATALOGUES = ("pendulum", *ALSO)
@@ -18,19 +19,6 @@ EXAMPLES = """
   adaptsim effects pendulum --name stribeck  one of them
   adaptsim effects --json                    for a program
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "task",
-        nargs="?",
-        default="pendulum",
-        metavar="TASK",
-        help="pendulum (default), mechanism, pushing, scooping, toss",
-    )
-    parser.add_argument("--name", metavar="EFFECT", help="all about one effect")
-    parser.add_argument("--brief", action="store_true", help="a line for each")
-    parser.add_argument("--json", action="store_true", help="print JSON")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -56,13 +44,13 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def listed(task: str) -> list[dict[str, Any]]:
+def listed(task: str) -> list[Table]:
     """The catalogue of a task as plain data."""
     show = describe if task in ("pendulum", "mechanism") else of_trials
     return [show(effect) for effect in catalogue(task)]
 
 
-def of_trials(effect: Any) -> dict[str, Any]:
+def of_trials(effect: Any) -> Table:
     """An effect of short trials as plain data."""
     return {
         "name": effect.name,
@@ -78,7 +66,7 @@ def of_trials(effect: Any) -> dict[str, Any]:
     }
 
 
-def describe(effect: Any) -> dict[str, Any]:
+def describe(effect: Any) -> Table:
     """An effect of the catalogue as plain data; bounds are for a torque scale of 1 N m."""
 
     def table(*names):
@@ -89,7 +77,7 @@ def describe(effect: Any) -> dict[str, Any]:
     return head | parameters | table("look_alikes", "contains", "excitation", "smooth")
 
 
-def _parameter(parameter: Any) -> dict[str, Any]:
+def _parameter(parameter: Any) -> Table:
     sign = {1: "positive", -1: "negative", 0: "either"}[parameter.sign]
     sign = "positive" if parameter.low >= 0 else sign
     role = "shape" if parameter.shape else "amplitude"
@@ -98,13 +86,13 @@ def _parameter(parameter: Any) -> dict[str, Any]:
     return {"name": parameter.name, "role": role, "sign": sign, **table, **off}
 
 
-def _brief(effects: list[dict[str, Any]]) -> None:
+def _brief(effects: list[Table]) -> None:
     width = max(len(effect["name"]) for effect in effects)
     for effect in effects:
         print(f"{effect['name']:{width}}  {effect['place']:11}  {effect['physics']}")
 
 
-def _show(effect: dict[str, Any]) -> None:
+def _show(effect: Table) -> None:
     from adaptsim_jax.effects.base import exponents
 
     if effect["scope"] == "joint":
@@ -134,7 +122,7 @@ def _show(effect: dict[str, Any]) -> None:
     print(f"  shown by     {effect['excitation']}")
 
 
-def _show_trials(effect: dict[str, Any]) -> None:
+def _show_trials(effect: Table) -> None:
     print(f"{effect['name']}: acts on the {effect['place']}")
     print(f"  physics      {effect['physics']}")
     for q in effect["quantities"]:

@@ -5,46 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import shlex
-from pathlib import Path
 from typing import Any
+
+from adaptsim_jax.core.config import Table
 
 EXAMPLES = """
   adaptsim init logs --model robot.xml                      writes logs/meta.toml
   adaptsim init run.mcap --model robot.urdf --out rig       writes rig/meta.toml, which names the bag
   adaptsim init run.mcap --out rig --command-topic /arm/commands
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "data",
-        type=Path,
-        metavar="DATA",
-        help="folder or file of recordings: CSV, NPZ, ROS bag, MCAP, LeRobot data set",
-    )
-    parser.add_argument("--model", type=Path, metavar="FILE", help="MJCF or URDF of the mechanism")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        metavar="DIR",
-        help="folder for meta.toml (default: DATA, if it is a folder)",
-    )
-    parser.add_argument(
-        "--state-topic",
-        metavar="NAME",
-        action="append",
-        help="ROS topic of joint states, again for another (default: the largest, and those of "
-        "other joints)",
-    )
-    parser.add_argument(
-        "--command-topic",
-        metavar="NAME",
-        action="append",
-        help="ROS topic of commands, again for another",
-    )
-    parser.add_argument(
-        "--json", action="store_true", help="print what was written and how it reads as JSON"
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,7 +55,7 @@ def _guesses(text: str) -> list[str]:
     return [line for line in text.splitlines()[1:] if "guess" in line]
 
 
-def _answer(begun: Any) -> dict[str, Any]:
+def _answer(begun: Any) -> Table:
     """The file, its lines that are guesses, and the log as it reads (None, and what is to be
     mended, where it does not).
     """

@@ -32,18 +32,6 @@ EXAMPLES = """
 """  # noqa: E501
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("kind", choices=KINDS, metavar="KIND", help=f"{', '.join(KINDS)}")
-    parser.add_argument("name", metavar="NAME", help="in lower case, such as cable_drag")
-    parser.add_argument(
-        "--dir",
-        type=Path,
-        default=Path("."),
-        metavar="DIR",
-        help="folder of the file (default: here)",
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """Write what runs as it stands, and how it is installed; nothing is overwritten."""
     from importlib import resources

@@ -13,16 +13,6 @@ EXAMPLES = """
 """
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument("task", metavar="TASK", help="pendulum, pushing or scooping")
-    parser.add_argument(
-        "--samples", type=positive, default=32, metavar="N", help="random samples (32)"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON")
-
-
 def run(args: argparse.Namespace) -> int:
     """Final-state differences of the backends over random parameters, commands and starts."""
     from adaptsim_jax.commands.parser import check_task

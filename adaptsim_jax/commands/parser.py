@@ -44,15 +44,6 @@ def task_word(args: argparse.Namespace) -> str:
     return check_task(args.task)
 
 
-def of_diagnosis(parser: argparse.ArgumentParser) -> None:
-    """`--diagnosis`, of commands that take an env.toml."""
-    parser.add_argument(
-        "--diagnosis",
-        metavar="OUT",
-        help="of an env.toml, a folder of `adaptsim diagnose`: model, Omega and E's first mean",
-    )
-
-
 @contextlib.contextmanager
 def output(path: str | Path) -> Iterator[Path]:
     """The folder `path` to write into, made if need be. Where the work fails before it wrote
@@ -106,12 +97,6 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
                 f"{path}: 'params' is not a table; write [params] and a line for each parameter"
             )
     return path.stem, task.space.values(table, str(path)), None
-
-
-def settable(parser: argparse.ArgumentParser | argparse._ArgumentGroup, example: str = "") -> None:
-    """The option `--set`, by which one key of a config is changed."""
-    text = f"change one key of the config{example}; repeatable"
-    parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=text)
 
 
 def seed(text: str) -> int:
@@ -201,15 +186,39 @@ def command_parser(name: str) -> Parser:
         description=f"{SUMMARIES[name]}.",
         epilog=f"examples:\n{module.EXAMPLES.rstrip()}",
     )
-    _declare(parser, module)
+    _declare(parser, name, module)
     return parser
 
 
-def _declare(parser: argparse.ArgumentParser, module) -> None:
-    module.arguments(parser)
-    shared = parser.add_argument_group("shared by all commands")
-    shared.add_argument("--seed", type=seed, metavar="N", help="random seed (default 0)")
-    shared.add_argument("--no-cache", action="store_true", help="keep no compiled programs on disk")
+KINDS = {
+    "seed": seed,
+    "count": positive,
+    "length": length,
+    "stretch": stretch,
+    "int": int,
+    "float": float,
+    "path": Path,
+}
+"""What a value of `options.toml` is read by."""
+ACTIONS = {"flag": "store_true", "repeated": "append"}
+
+
+def _declare(parser: argparse.ArgumentParser, name: str, module: Any) -> None:
+    """The options of the command `name`, then those that all commands share."""
+    tables = config.read(Path(__file__).with_name("options.toml"))
+    places: dict[str, Any] = {}
+    for option, row in (tables[name] | tables["shared"]).items():
+        group, either = row.pop("group", None), row.pop("either", None)
+        if group and group not in places:
+            places[group] = parser.add_argument_group(group)
+        if either and either not in places:
+            places[either] = parser.add_mutually_exclusive_group()
+        kind = row.pop("kind", None)
+        if kind in ACTIONS:
+            row["action"] = ACTIONS[kind]
+        elif kind:
+            row["type"] = KINDS[kind]
+        places.get(group or either, parser).add_argument(option, **row)
     parser.set_defaults(run=module.run)
 
 
@@ -234,5 +243,5 @@ def whole_parser() -> Parser:
     commands = parser.add_subparsers(metavar="COMMAND")
     for name, summary in SUMMARIES.items():
         module = importlib.import_module(f"adaptsim_jax.commands.{name}")
-        _declare(commands.add_parser(name, help=summary), module)
+        _declare(commands.add_parser(name, help=summary), name, module)
     return parser

@@ -14,6 +14,7 @@ from adaptsim_jax.adaptation.phase1 import archive_size
 from adaptsim_jax.adaptation.phase2 import Phase2Result, best_visit, chosen_visit, draw_starts
 from adaptsim_jax.adaptation.training import adapt_run, learned
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.store import RunFolder
 from adaptsim_jax.report.figures import save
 from adaptsim_jax.report.film import write_film
@@ -24,7 +25,7 @@ from adaptsim_jax.tasks.registry import TASKS, make_one_shot
 def phase2(
     task: str,
     trained: Any,
-    options: dict[str, Any],
+    options: Table,
     key: Any,
     target: Any,
     starts: int,
@@ -44,7 +45,7 @@ def phase2(
 def as_compared(
     task: str,
     trained: Any,
-    options: dict[str, Any],
+    options: Table,
     key: Any,
     target: Any,
     starts: int,

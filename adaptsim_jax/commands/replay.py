@@ -8,8 +8,6 @@ import shlex
 import sys
 from pathlib import Path
 
-from adaptsim_jax.commands.parser import length
-
 EXAMPLES = """
   adaptsim replay robot.xml logs/robot                    error over stretches of 0.5 s, as declared
   adaptsim replay out/model.toml logs/validation --json   the mended model on other data
@@ -18,47 +16,6 @@ EXAMPLES = """
   adaptsim replay robot.xml logs/robot --simulator mujoco    by MuJoCo itself, at the file's own step
   adaptsim replay robot.xml logs/robot --fit body:tool.mass 'geom:*foot*.friction[0]'    these numbers fitted by MuJoCo
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "model", metavar="MODEL", help="an MJCF or URDF file, or the model.toml of a diagnosis"
-    )
-    parser.add_argument(
-        "data", metavar="DATA", help="a folder with meta.toml, or one log (CSV, NPZ, bag, MCAP)"
-    )
-    parser.add_argument(
-        "--horizon",
-        type=length,
-        default=0.5,
-        metavar="S",
-        help="length of the stretches; 0: whole trials (default 0.5)",
-    )
-    parser.add_argument(
-        "--simulator",
-        choices=("tree", "mujoco"),
-        help="tree: joints on a base that stands still; mujoco: whatever MuJoCo compiles, at the "
-        "file's own step (default: tree "
-        "where it can, mujoco where it must)",
-    )
-    parser.add_argument(
-        "--fit",
-        nargs="+",
-        metavar="NAME",
-        default=[],
-        help="numbers of the model to fit by the simulator mujoco first: joint:NAME.damping, "
-        "body:NAME.mass, geom:NAME.friction[0], "
-        "actuator:NAME.kp, option.gravity[0], command.delay; NAME may be a pattern",
-    )
-    parser.add_argument(
-        "--yardstick",
-        choices=("stretches", "whole", "torque", "all"),
-        help="which beside the stretches: whole trials, the torque along the motion, or all "
-        "(default: torque; of a machine that "
-        "follows commands, all)",
-    )
-    parser.add_argument("--json", action="store_true", help="print all of it as JSON")
-    parser.add_argument("--out", metavar="DIR", help="folder for replay.json and replay.png")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -203,18 +160,11 @@ def _measured(name: str, measure: dict, box):
 
     from adaptsim_jax.report.diagnosis_format import quantity
 
-    torque = name == "torque"
-    if torque:
-        keys = ("missing", "torque", "constant")
-    else:
-        keys = ("error", "straight_line", "hold_still")
-    if torque:
-        words = ("missing", "torque", "about its mean")
-    else:
-        words = ("error", "straight line", "still")
-    if torque:
+    if name == "torque":
+        keys, words = ("missing", "torque", "constant"), ("missing", "torque", "about its mean")
         what = "torque along the measured motion"
     else:
+        keys, words = ("error", "straight_line", "hold_still"), ("error", "straight line", "still")
         what = f"whole trials, {measure['span_s']:.3g} s"
     table = Table(
         "",

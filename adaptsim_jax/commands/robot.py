@@ -10,6 +10,7 @@ from typing import Any
 from adaptsim_jax import __version__
 from adaptsim_jax.commands import robot_session as sessions
 from adaptsim_jax.commands.robot_session import SESSION, UNDO, RobotSession
+from adaptsim_jax.core.config import Table
 
 EXAMPLES = """
   adaptsim robot new runs/a --dir robot          start from a trained run
@@ -29,40 +30,6 @@ policy, that has no return and its start is given up; pushes and scoops that fai
 STEPS = ("new", "next", "record", "undo")
 
 
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument("step", metavar="new|next|record|undo", help="start, ask, tell, take back")
-    parser.add_argument(
-        "what", nargs="?", metavar="RUN|FILE", help="new: a trained run; record: a CSV or npz"
-    )
-    parser.add_argument(
-        "--dir", required=True, metavar="DIR", help="where the state is kept between calls"
-    )
-    parser.add_argument(
-        "--failed", action="store_true", help="record: the robot could not finish; no FILE"
-    )
-    parser.add_argument(
-        "--as-declared",
-        action="store_true",
-        help="record: take frame and units as declared, though the tracks contradict them",
-    )
-    parser.add_argument(
-        "--run", dest="moved", metavar="RUN", help="where the session's run is now, if it was moved"
-    )
-    parser.add_argument(
-        "--json",
-        action="store_true",
-        help="one JSON object on stdout; what is for people on stderr",
-    )
-    parser.add_argument(
-        "--starts", type=positive, default=2, metavar="N", help="new: initial distributions (2)"
-    )
-    parser.add_argument(
-        "--iterations", type=positive, default=10, metavar="I", help="new: adaptation steps (10)"
-    )
-
-
 def run(args: argparse.Namespace) -> int:
     """One step of ask/tell adaptation."""
     import contextlib
@@ -76,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def stepped(args: argparse.Namespace) -> dict[str, Any]:
+def stepped(args: argparse.Namespace) -> Table:
     """What `--json` prints of a step: where the session stands and, of new and next, what is to be
     run now.
     """
@@ -114,12 +81,9 @@ def stepped(args: argparse.Namespace) -> dict[str, Any]:
         return stands(session)
 
 
-def new(args: argparse.Namespace) -> dict[str, Any]:
+def new(args: argparse.Namespace) -> Table:
     """Start a session in an empty folder."""
-    import jax
-
-    from adaptsim_jax.adaptation.phase1 import archive_size
-    from adaptsim_jax.adaptation.phase2 import draw_starts
+    from adaptsim_jax.adaptation.asktell import begun
     from adaptsim_jax.core import config, files
     from adaptsim_jax.core.errors import BadInput
     from adaptsim_jax.core.files import one_writer
@@ -141,13 +105,10 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         "trained": sessions.identity(sessions.run_of(path)),
     }
     session = sessions.make_session(folder, table)
-    trained = session.trained
     files.output_folder(folder)
-    start_key, key = jax.random.split(jax.random.key(args.seed))
-    used = archive_size(trained.phase1, trained.rounds)
-    starts = draw_starts(start_key, trained.state.archive, used, args.starts)
+    state = begun(session.loop, session.trained, args.starts, args.seed)
     with one_writer(folder):
-        sessions.save(session, session.loop.init(key, starts), [])
+        sessions.save(session, state, [])
         # written last: a folder with this file holds a whole session
         config.write(folder / SESSION, table)
         print(
@@ -156,7 +117,7 @@ def new(args: argparse.Namespace) -> dict[str, Any]:
         return ask(args, session)
 
 
-def stands(session: RobotSession) -> dict[str, Any]:
+def stands(session: RobotSession) -> Table:
     """How many turns are told, and what the last and the best of them returned."""
     import math
 
@@ -171,14 +132,15 @@ def stands(session: RobotSession) -> dict[str, Any]:
     return reported | {"last_return": last, "best_return": best if math.isfinite(best) else None}
 
 
-def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
+def ask(args: argparse.Namespace, session: RobotSession) -> Table:
     """Say and write what to run now; when all is told, the best policy."""
     import math
 
     from adaptsim_jax.core import config
+    from adaptsim_jax.tasks.robot_trials import physical
 
     state, history = sessions.load(session)
-    task, total = session.trained.phase1.task, session.loop.trials(state)
+    total = session.loop.trials(state)
     done = len(history) >= total
     if done and not math.isfinite(state.best_score):
         print(
@@ -195,7 +157,7 @@ def ask(args: argparse.Namespace, session: RobotSession) -> dict[str, Any]:
     else:
         mean, policy = (state.mean, state.policy)
     policy = session.kind.robot.deployed(session, policy, history)
-    params = dict(zip(task.space.names, map(float, task.space.physical(mean)), strict=True))
+    params = physical(session, mean)
     if done:
         what = "best policy"
     else:
@@ -311,7 +273,7 @@ def undo(args: argparse.Namespace, session: RobotSession) -> None:
     print(f"taken back: {what}, of {session.kind.robot.turn} {len(earlier) + 1}")
 
 
-def _not_done(session: RobotSession) -> tuple[Any, list[dict[str, Any]], int]:
+def _not_done(session: RobotSession) -> tuple[Any, list[Table], int]:
     """State, history and number of turns. BadInput where all are told."""
     from adaptsim_jax.core.errors import BadInput
 
@@ -323,7 +285,7 @@ def _not_done(session: RobotSession) -> tuple[Any, list[dict[str, Any]], int]:
     return state, history, total
 
 
-def _tried(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> Any:
+def _tried(session: RobotSession, state: Any, history: list[Table]) -> Any:
     """The state with its policy as the coming turn makes its trials."""
     return state._replace(policy=session.kind.robot.tried(session, state.policy, history))
 

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from adaptsim_jax.core.config import Table
+
 if TYPE_CHECKING:
     from adaptsim_jax.core.store import RunFolder
 
@@ -25,10 +27,10 @@ class RobotSession(NamedTuple):
     """
 
     folder: Path
-    table: dict[str, Any]
+    table: Table
     trained: Any
     loop: Any
-    options: dict[str, Any]
+    options: Table
     kind: Any
     as_declared: bool = False  # what the record contradicts is taken all the same
 
@@ -46,7 +48,7 @@ def open_session(folder: Path, moved: str | None = None) -> RobotSession:
     return session
 
 
-def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
+def located(folder: Path, moved: str | None = None) -> Table:
     """robot.toml of the session in `folder`, with its run where it is now."""
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput
@@ -61,9 +63,11 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
     for name, kind in {
         "schema": int,
         "run": str,
+        "run_from_here": str,
         "seed": int,
         "starts": int,
         "iterations": int,
+        "trained": dict,
     }.items():
         if type(table.get(name)) is not kind:
             raise BadInput(
@@ -72,10 +76,10 @@ def located(folder: Path, moved: str | None = None) -> dict[str, Any]:
             )
     run_folder = table["run"]
     if moved is not None:
-        return table | {"was": _was(table)} | places(str(Path(moved).resolve()), folder)
+        return table | places(str(Path(moved).resolve()), folder)
     if not Path(run_folder).is_dir():
-        near = folder / str(table.get("run_from_here", ""))
-        if "run_from_here" not in table or not near.is_dir():
+        near = folder / table["run_from_here"]
+        if not near.is_dir():
             raise BadInput(
                 f"{run_folder}: no such run folder, which the session in {folder} goes by; if it "
                 f"was moved, say where it is: adaptsim robot next --dir {folder} --run RUN"
@@ -91,11 +95,6 @@ def places(run: str, folder: Path) -> dict[str, str]:
     import os
 
     return {"run": run, "run_from_here": os.path.relpath(run, folder.resolve())}
-
-
-def _was(table: dict[str, Any]) -> str:
-    """The run's path when the session began, which older checkpoints are bound to."""
-    return str(table.get("was", table["run"]))
 
 
 def run_of(path: str) -> RunFolder:
@@ -115,7 +114,7 @@ def run_of(path: str) -> RunFolder:
     return run
 
 
-def identity(run: RunFolder) -> dict[str, Any]:
+def identity(run: RunFolder) -> Table:
     """Which adaptation policy the run holds now: its checkpoint's step and hashes."""
     from adaptsim_jax.core.store import read_manifest
 
@@ -123,55 +122,45 @@ def identity(run: RunFolder) -> dict[str, Any]:
     return {name: manifest[name] for name in ("step", "sha256", "config_hash")}
 
 
-def _check_same(run: RunFolder, table: dict[str, Any], folder: Path) -> None:
-    """BadInput where the run's checkpoint is not the one that the session began with. Older
-    sessions do not say which it was.
-    """
+def _check_same(run: RunFolder, table: Table, folder: Path) -> None:
+    """BadInput where the run's checkpoint is not the one that the session began with."""
     from adaptsim_jax.core.errors import BadInput
 
-    began, now = table.get("trained"), identity(run)
-    if began is not None and began != now:
-        was = began.get("step") if isinstance(began, dict) else began
+    began, now = table["trained"], identity(run)
+    if began != now:
         raise BadInput(
             f"{run.path}: was trained on, or anew, since the session in {folder} began (checkpoint "
-            f"of round {was} then, another of round {now['step']} now); put that checkpoint back, "
-            "or start another session with 'adaptsim robot new'"
+            f"of round {began.get('step')} then, another of round {now['step']} now); put that "
+            "checkpoint back, or start another session with 'adaptsim robot new'"
         )
 
 
-def make_session(folder: Path, table: dict[str, Any]) -> RobotSession:
-    from adaptsim_jax.adaptation.asktell import AskTell
+def make_session(folder: Path, table: Table) -> RobotSession:
+    from adaptsim_jax.adaptation.asktell import loop_of
     from adaptsim_jax.adaptation.training import load_run
     from adaptsim_jax.tasks.registry import TASKS
 
     run = run_of(table["run"])
     trained = load_run(run)
     _check_same(run, table, folder)  # after the load, so that what was loaded is what is checked
-    phase1 = trained.phase1
-    weights, sizes = (
-        trained.state.learner.target,
-        {k: float(getattr(trained.hyper, k)) for k in ("delta", "shrink")},
-    )
-    loop = AskTell(phase1.task, phase1.bdq, weights, iterations=table["iterations"], **sizes)
+    loop = loop_of(trained, table["iterations"])
     return RobotSession(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
-def keep(session: RobotSession, state: Any, history: list[dict[str, Any]]) -> None:
+def keep(session: RobotSession, state: Any, history: list[Table]) -> None:
     """Keep what is about to be recorded over, for `undo`."""
     save(session, state, history, session.folder / UNDO / str(len(history)))
 
 
-def _bound(table: dict[str, Any]) -> str:
+def _bound(table: Table) -> str:
     """Hash of what a session's checkpoints are bound to: all but where things are."""
     from adaptsim_jax.core import config
 
-    return config.digest(
-        {name: value for name, value in table.items() if name not in (*PLACES, "was")}
-    )
+    return config.digest({name: value for name, value in table.items() if name not in PLACES})
 
 
 def save(
-    session: RobotSession, state: Any, history: list[dict[str, Any]], folder: Path | None = None
+    session: RobotSession, state: Any, history: list[Table], folder: Path | None = None
 ) -> None:
     from adaptsim_jax.core import store
 
@@ -185,23 +174,18 @@ def save(
     )
 
 
-def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[dict[str, Any]]]:
+def load(session: RobotSession, folder: Path | None = None) -> tuple[Any, list[Table]]:
     """State and history of the session, or of the record before in `folder`."""
     import jax
     import jax.numpy as jnp
 
     from adaptsim_jax.adaptation.phase1 import DistributionArchive
-    from adaptsim_jax.core import config, store
+    from adaptsim_jax.core import store
     from adaptsim_jax.core.errors import BadInput
 
     task = session.trained.phase1.task
     folder = folder or session.folder / store.CHECKPOINT
-    older = {name: v for name, v in session.table.items() if name not in ("run_from_here", "was")}
-    older["run"] = _was(session.table)
-    if store.read_manifest(folder)["config_hash"] not in (
-        _bound(session.table),
-        config.digest(older),
-    ):
+    if store.read_manifest(folder)["config_hash"] != _bound(session.table):
         raise BadInput(
             f"{session.folder / SESSION}: was changed since the session began; restore the file"
         )
@@ -250,7 +234,7 @@ def recorded_trials(folder: Path, as_declared: bool = False, without: Sequence[s
 
     robot = TASKS[session_task(folder)].robot
     assert robot is not None and robot.recorded is not None  # of every `session_task`
-    trials = robot.recorded()
+    trials = robot.recorded
     files, rows = [], [trials.head]
     for visit in store.read_manifest(folder / store.CHECKPOINT)["extra"]["history"]:
         files.append(_same_file(folder, visit))
@@ -265,7 +249,7 @@ def recorded_trials(folder: Path, as_declared: bool = False, without: Sequence[s
         )
 
 
-def _same_file(folder: Path, visit: dict[str, Any]) -> Path:
+def _same_file(folder: Path, visit: Table) -> Path:
     """The file of a visit, which must be what was recorded."""
     from adaptsim_jax.core.errors import BadInput
 

@@ -8,6 +8,8 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim sweep SPEC.toml --out sweeps/a
   adaptsim sweep SPEC.toml --out sweeps/a --resume       go on after a kill, to the same bits
@@ -26,55 +28,6 @@ SPEC.toml, for instance:
   hyper.delta = [0.1, 0.15]
   hyper.learner.learning_rate = [3e-4, 1e-3]
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import positive
-
-    parser.add_argument(
-        "words", nargs="+", metavar="SPEC.toml | show DIR", help="what to run, or the sweep to show"
-    )
-    parser.add_argument("--out", metavar="DIR", help="the folder to write")
-    parser.add_argument("--resume", action="store_true", help="go on with a sweep that was stopped")
-    parser.add_argument(
-        "--estimate", action="store_true", help="say what would be run and the memory it takes"
-    )
-    parser.add_argument(
-        "--at-once", type=positive, metavar="N", help="members side by side (default: what fits)"
-    )
-    parser.add_argument(
-        "--devices",
-        type=positive,
-        metavar="N",
-        help="devices of this machine; on CPUs N groups of cores (default: a core each)",
-    )
-    parser.add_argument(
-        "--save-every",
-        type=float,
-        default=30.0,
-        metavar="S",
-        help="seconds between checkpoints (30)",
-    )
-    parser.add_argument("--json", action="store_true", help="print results.json")
-    many = parser.add_argument_group("many machines (docs/sweeps.md)")
-    many.add_argument(
-        "--ray",
-        nargs="?",
-        const="",
-        metavar="ADDRESS",
-        help="share batches out by Ray (extra [cluster])",
-    )
-    many.add_argument(
-        "--hosts",
-        metavar="slurm | HOST:PORT",
-        help="one program over hosts; HOST:PORT is the first one's",
-    )
-    many.add_argument(
-        "--processes", type=positive, metavar="N", help="with HOST:PORT: how many programs"
-    )
-    many.add_argument(
-        "--process", type=int, metavar="I", help="with HOST:PORT: which of them this is, from 0"
-    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -209,7 +162,7 @@ def _finish(folder: Any, as_json: bool) -> int:
     return 0
 
 
-def _print(found: dict[str, Any]) -> None:
+def _print(found: Table) -> None:
     left = found["members"] - found["done"] - found["failed"]
     print(f"{found['done']} members done, {found['failed']} failed, {left} left")
     for row in [r for r in found["rows"] if r["status"] == "failed"][:5]:

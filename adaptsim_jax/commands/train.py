@@ -8,6 +8,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
+
 EXAMPLES = """
   adaptsim train pendulum --run runs/a
   adaptsim train pendulum --run runs/a --resume        go on after a kill, to the same bits
@@ -20,29 +22,6 @@ EXAMPLES = """
   adaptsim train env.toml --run runs/f --diagnosis out             Omega and E's first mean from randomisation.toml
   adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
 """  # noqa: E501
-
-
-def arguments(parser: argparse.ArgumentParser) -> None:
-    from adaptsim_jax.commands.parser import of_diagnosis, settable
-
-    parser.add_argument(
-        "task", metavar="TASK", help="pendulum, pushing, scooping, one of your own, or an env.toml"
-    )
-    parser.add_argument(
-        "--run", dest="folder", required=True, metavar="DIR", help="the run folder to write"
-    )
-    parser.add_argument("--resume", action="store_true", help="continue a run that was stopped")
-    parser.add_argument(
-        "--model", metavar="FILE", help="a model.toml of `adaptsim diagnose`: train on that model"
-    )
-    of_diagnosis(parser)
-    start = parser.add_mutually_exclusive_group()
-    start.add_argument("--config", metavar="FILE", help="a config.toml to start from")
-    names = (
-        "paper-pendulum, paper-pushing, native-pushing, mjx-pushing, hydro-scooping, mjx-scooping"
-    )
-    start.add_argument("--preset", metavar="NAME", help=f"a config by name: {names}")
-    settable(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
+def config_of(table: Table, args: argparse.Namespace) -> Any:
     """The config in `table`, with what the command line changes."""
     from adaptsim_jax.adaptation.training import TrainConfig, with_defaults
     from adaptsim_jax.core import config
@@ -83,7 +62,7 @@ def config_of(table: dict[str, Any], args: argparse.Namespace) -> Any:
     return config.with_settings(start, settings)
 
 
-def _of_model(args: argparse.Namespace) -> dict[str, Any]:
+def _of_model(args: argparse.Namespace) -> Table:
     """Options of the task by `--model`; they go into the run's config, which is then whole without
     the file.
     """
@@ -138,7 +117,7 @@ def _check(asked: Any, args: argparse.Namespace) -> None:
     make_phase1(make_task(args.task, asked.task, args.config or "--set"), asked.phase1)
 
 
-def _start_table(args: argparse.Namespace) -> dict[str, Any]:
+def _start_table(args: argparse.Namespace) -> Table:
     """The config of a file (a run's, or a bare table) or of a preset, or the defaults."""
     from adaptsim_jax.adaptation.training import table_of
 
@@ -149,7 +128,7 @@ def _start_table(args: argparse.Namespace) -> dict[str, Any]:
     return table_of(args.config, args.task, args.config)
 
 
-def _preset_table(args: argparse.Namespace) -> dict[str, Any]:
+def _preset_table(args: argparse.Namespace) -> Table:
     from adaptsim_jax.adaptation.training import preset, presets_of
     from adaptsim_jax.core import config
     from adaptsim_jax.core.errors import BadInput

@@ -17,6 +17,8 @@ from typing import Any, TypeVar
 from adaptsim_jax.core.errors import BadInput, brief, finite
 
 T = TypeVar("T")
+Table = dict[str, Any]
+"""What a table of TOML, or an object of JSON, holds."""
 
 
 def nearest(name: str, known: typing.Iterable[str]) -> str | None:

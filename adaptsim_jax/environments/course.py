@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
@@ -55,15 +56,15 @@ class Course(NamedTuple):
 
     state: Any
     best: Any
-    best_at: jax.Array
-    best_returns: jax.Array
-    last_returns: jax.Array
-    lost: jax.Array
+    best_at: Array
+    best_returns: Array
+    last_returns: Array
+    lost: Array
 
 
 def trained_in(
     trainer: Trainer,
-    key: jax.Array,
+    key: Array,
     learned: Any,
     worlds: Worlds,
     plan: TrainingPlan,
@@ -122,7 +123,7 @@ def _due(done: int, size: int, rounds: int, evaluations: int) -> bool:
     return now > max(before, 0) or done == rounds
 
 
-def _evaluated(course: Course, learned: Any, returns: jax.Array, done: int) -> Course:
+def _evaluated(course: Course, learned: Any, returns: Array, done: int) -> Course:
     course = course._replace(last_returns=returns)
     if _mean(returns) < _mean(course.best_returns):
         return course

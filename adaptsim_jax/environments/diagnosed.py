@@ -3,8 +3,8 @@ the data leave open, and E begins at what they say.
 """
 
 from pathlib import Path
-from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mend.randomisation import FILE, Randomised, read_randomisation
 
@@ -15,7 +15,7 @@ WIDER = 2.0
 """What intervals are multiplied by: a policy that knows E is trained beyond what 90 % cover."""
 
 
-def diagnosed(options: dict[str, Any], folder: str | Path) -> dict[str, Any]:
+def diagnosed(options: Table, folder: str | Path) -> Table:
     """`options` of `EnvironmentConfig` with the model, Omega and E's first mean of the diagnosis in
     `folder`.
 
@@ -28,7 +28,7 @@ def diagnosed(options: dict[str, Any], folder: str | Path) -> dict[str, Any]:
             f"{path}: no such file; give the folder that `adaptsim diagnose --out` wrote"
         )
     known = {row.name: row for row in read_randomisation(path).rows}
-    fields: dict[str, Any] = {}
+    fields: Table = {}
     start: dict[str, float] = {}
     for name, given in options.get("fields", {}).items():
         fields[name] = given if name not in known else _range(known[name])

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.fields import INTERFACE, ModelField
@@ -23,12 +24,12 @@ class Live(NamedTuple):
     """
 
     state: Any
-    actions: jax.Array
-    key: jax.Array
-    obs: jax.Array
-    reward: jax.Array
-    done: jax.Array
-    time: jax.Array
+    actions: Array
+    key: Array
+    obs: Array
+    reward: Array
+    done: Array
+    time: Array
 
 
 class SteppedModel(NamedTuple):
@@ -37,9 +38,9 @@ class SteppedModel(NamedTuple):
     """
 
     model: Any
-    delay: jax.Array  # in steps
-    scale: jax.Array
-    noise: jax.Array
+    delay: Array  # in steps
+    scale: Array
+    noise: Array
 
 
 class Play(NamedTuple):
@@ -49,9 +50,9 @@ class Play(NamedTuple):
 
     sim: SimulatedTask
     fields: tuple[ModelField, ...]
-    world: Callable[[jax.Array], SteppedModel]
-    reset: Callable[[SteppedModel, jax.Array], Live]
-    step: Callable[[SteppedModel, Live, jax.Array], Live]
+    world: Callable[[Array], SteppedModel]
+    reset: Callable[[SteppedModel, Array], Live]
+    step: Callable[[SteppedModel, Live, Array], Live]
 
 
 def make_play(
@@ -128,8 +129,8 @@ class ActingPolicy(NamedTuple):
     """
 
     start: Callable[[Any], Any]
-    act: Callable[[jax.Array, Any, Any, Live], tuple[jax.Array, Any]]
-    luck: Callable[[jax.Array], jax.Array] = lambda obs: jnp.zeros(())
+    act: Callable[[Array, Any, Any, Live], tuple[Array, Any]]
+    luck: Callable[[Array], Array] = lambda obs: jnp.zeros(())
 
 
 class Rollout(NamedTuple):
@@ -137,10 +138,10 @@ class Rollout(NamedTuple):
     brought, `length []` in steps, `features [K]`.
     """
 
-    score: jax.Array
-    luck: jax.Array
-    length: jax.Array
-    features: jax.Array
+    score: Array
+    luck: Array
+    length: Array
+    features: Array
 
 
 class EpisodeSteps(NamedTuple):
@@ -148,14 +149,14 @@ class EpisodeSteps(NamedTuple):
     on.
     """
 
-    obs: jax.Array
-    action: jax.Array
-    reward: jax.Array
-    on: jax.Array
+    obs: Array
+    action: Array
+    reward: Array
+    on: Array
 
 
 def episode(
-    key: jax.Array, play: Play, acting: ActingPolicy, policy: Any, values: jax.Array
+    key: Array, play: Play, acting: ActingPolicy, policy: Any, values: Array
 ) -> tuple[EpisodeSteps, Live]:
     """One episode of `policy` in the world of `values [F]`: its steps, and the environment's
     end.
@@ -205,7 +206,7 @@ def look(steps: EpisodeSteps, acting: ActingPolicy) -> Rollout:
 
 
 def visit(
-    key: jax.Array, play: Play, acting: ActingPolicy, policy: Any, values: jax.Array, trials: int
+    key: Array, play: Play, acting: ActingPolicy, policy: Any, values: Array, trials: int
 ) -> Rollout:
     """`trials` episodes from fresh starts, averaged."""
 
@@ -222,10 +223,10 @@ class Shown(NamedTuple):
     variance.
     """
 
-    centre: jax.Array
-    axes: jax.Array
+    centre: Array
+    axes: Array
 
-    def __call__(self, features: jax.Array) -> jax.Array:
+    def __call__(self, features: Array) -> Array:
         """`[K] -> [C]`; near enough linear to 1, logarithmic far out."""
         x = self.axes @ jnp.clip(
             jnp.nan_to_num(features - self.centre, posinf=1e6, neginf=-1e6), -1e6, 1e6
@@ -271,7 +272,7 @@ class ReturnSlope(NamedTuple):
     window: int
 
 
-def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) -> Callable:
+def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable) -> Callable:
     """`slope(keys [N], mean [D], values [F], *more) -> ReturnSlope`: over N starts, with the
     longest window whose derivatives do not explode.
 
@@ -309,7 +310,7 @@ def make_slope(play: Play, acting: ActingPolicy, policy_of: Callable[..., Any]) 
 
         return jax.vmap(one)(keys)
 
-    def slope(keys: jax.Array, mean: Any, values: Any, *more: Any) -> ReturnSlope:
+    def slope(keys: Array, mean: Any, values: Any, *more: Any) -> ReturnSlope:
         window = play.sim.length
         mean, values = (jnp.asarray(x, jnp.float32) for x in (mean, values))
         while True:

@@ -15,8 +15,9 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import Array
 
-from adaptsim_jax.core.config import read, suggest
+from adaptsim_jax.core.config import Table, read, suggest
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mechanisms.model_numbers import (
     NumberName,
@@ -237,16 +238,11 @@ def known_fields(model: Any) -> list[str]:
     return names
 
 
-def values_of(fields: Sequence[ModelField]) -> np.ndarray:
-    """Nominal values `[F]`."""
-    return np.array([field.nominal for field in fields], np.float32)
-
-
-def edited(model: Any, fields: Sequence[ModelField], values: jax.Array) -> Any:
+def edited(model: Any, fields: Sequence[ModelField], values: Array) -> Any:
     """`model`, an `mjx.Model`, with `values [F]` of `fields` in their places; pure, of one
     sample.
     """
-    changed: dict[str, Any] = {}
+    changed: Table = {}
     for i, field in enumerate(fields):
         for edit in field.edits:
             array = jnp.asarray(changed.get(edit.array, array_at(model, edit.array)))
@@ -308,7 +304,7 @@ def space_of(
 
 def domain_randomize(
     native: mujoco.MjModel, ranges: Mapping[str, Any]
-) -> Callable[[Any, jax.Array], tuple[Any, Any]]:
+) -> Callable[[Any, Array], tuple[Any, Any]]:
     """Fields by name, each drawn from its range for every environment.
 
     Args:
@@ -330,7 +326,7 @@ def domain_randomize(
             )
     arrays = sorted({edit.array for field in fields for edit in field.edits})
 
-    def randomize(model: Any, rng: jax.Array) -> tuple[Any, Any]:
+    def randomize(model: Any, rng: Array) -> tuple[Any, Any]:
         def one(key):
             new = edited(model, fields, space.physical(space.sample(key)))
             return {array: array_at(new, array) for array in arrays}

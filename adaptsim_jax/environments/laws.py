@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.attribution import drive as drives
@@ -23,6 +24,7 @@ from adaptsim_jax.attribution.acting import (
     forces,
     rubs_dry,
 )
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.mechanisms import equations
@@ -95,8 +97,8 @@ class Memory(NamedTuple):
     """
 
     count: Any
-    command: dict[str, Any]
-    reading: dict[str, Any]
+    command: Table
+    reading: Table
     bent: Any
     ahead: Any
     rate: Any
@@ -129,12 +131,12 @@ def _began(laws: Laws, q, v, u) -> Memory:
     return Memory(jnp.zeros(()), command, reading, zero, zero, zero, q, v)
 
 
-def _numbers(laws: Laws, effect: Effect) -> dict[str, Any]:
+def _numbers(laws: Laws, effect: Effect) -> Table:
     """`[1, n]` by parameter."""
     return {k: z[:, 0][None] for k, z in laws.values.effects[effect.name].items()}
 
 
-def room(laws: Laws) -> jax.Array:
+def room(laws: Laws) -> Array:
     """`userdata` before the first step."""
     zero = jnp.zeros(len(laws.joints))
     return ravel_pytree(_began(laws, zero, zero, zero))[0].astype(jnp.float32)
@@ -312,7 +314,7 @@ def _bristles(laws: Laws, total, bent, speed, step):
     return on, force + push, damping, jnp.where(on, total * soft, 0.0)
 
 
-def stepped(laws: Laws, model: Any, data: Any, ctrl: jax.Array, move: Any = mjx_step) -> Any:
+def stepped(laws: Laws, model: Any, data: Any, ctrl: Array, move: Any = mjx_step) -> Any:
     """`data` one of the model's steps later by `move(model, data)`, under `ctrl [nu]`."""
     given = data.qfrc_applied
     if not laws.joints:  # a file's polynomials alone
@@ -388,7 +390,7 @@ def _polynomials(laws: Laws, model: Any, data: Any):
 
 
 def advanced(
-    laws: Laws, model: Any, data: Any, ctrl: jax.Array, substeps: int, other: Any = None
+    laws: Laws, model: Any, data: Any, ctrl: Array, substeps: int, other: Any = None
 ) -> Any:
     """`data` after `substeps` steps: what stands in the place of MJX's own.
 

@@ -15,7 +15,9 @@ import jax
 import jax.numpy as jnp
 import mujoco
 import numpy as np
+from jax import Array
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.environments.simulated import advance, number_of, vector_of
@@ -32,9 +34,9 @@ class State(NamedTuple):
     """
 
     data: Any
-    obs: jax.Array
-    reward: jax.Array
-    done: jax.Array
+    obs: Array
+    reward: Array
+    done: Array
 
 
 @dataclass(eq=False, repr=False)
@@ -53,14 +55,14 @@ class ModelEnvironment:
     """
 
     mjcf: str | Path
-    observe: Callable[[Any], jax.Array]
-    reward: Callable[[Any, jax.Array], jax.Array]
+    observe: Callable[[Any], Array]
+    reward: Callable[[Any, Array], Array]
     _: KW_ONLY
-    start: Callable[[jax.Array, jax.Array], tuple[jax.Array, jax.Array]] | None = None
-    done: Callable[[Any], jax.Array] | None = None
+    start: Callable[[Array, Array], tuple[Array, Array]] | None = None
+    done: Callable[[Any], Array] | None = None
     control_dt: float = 0.02
     length: int = 250
-    fields: dict[str, Any] | None = None
+    fields: Table | None = None
 
     def __post_init__(self):
         self.mj_model = _read(self.mjcf)
@@ -82,7 +84,7 @@ class ModelEnvironment:
         self._half = (high - low).astype(np.float32) / 2
         self._blank = mjx.make_data(self.mj_model, impl="jax")
 
-    def reset(self, key: jax.Array) -> State:
+    def reset(self, key: Array) -> State:
         """The start of an episode."""
         at = jnp.asarray(self.mj_model.qpos0, self._blank.qpos.dtype)
         if self.start is None:
@@ -98,7 +100,7 @@ class ModelEnvironment:
         data = mjx.forward(self.mjx_model, self._blank.replace(qpos=qpos, qvel=qvel))
         return self._moment(data, jnp.zeros(self.action_size))
 
-    def step(self, state: State, action: jax.Array) -> State:
+    def step(self, state: State, action: Array) -> State:
         """One action [nu] for `control_dt` s."""
         ctrl = self._middle + self._half * jnp.clip(action, -1.0, 1.0)
         return self._moment(advance(self.mjx_model, state.data, ctrl, self.substeps), action)
@@ -135,11 +137,11 @@ def cartpole() -> ModelEnvironment:
     [rad/s].
     """
 
-    def observe(data: Any) -> jax.Array:
+    def observe(data: Any) -> Array:
         x, angle = data.qpos
         return jnp.stack([x, data.qvel[0], jnp.cos(angle), jnp.sin(angle), data.qvel[1]])
 
-    def reward(data: Any, action: jax.Array) -> jax.Array:
+    def reward(data: Any, action: Array) -> Array:
         upright = 0.5 * (1.0 + jnp.cos(data.qpos[1]))
         placed = upright * jnp.exp(-0.5 * jnp.square(data.qpos[0]))
         return placed * (1.0 - 0.1 * jnp.sum(jnp.square(jnp.clip(action, -1, 1))))
@@ -164,7 +166,7 @@ ARM_FIELDS = {
 class Arm(ModelEnvironment):
     """The goal is where the mocap body stands: a place within reach, drawn at each reset."""
 
-    def reset(self, key: jax.Array):
+    def reset(self, key: Array):
         start_key, goal_key = jax.random.split(key)
         u = jax.random.uniform(
             goal_key, (2,), minval=jnp.array([0.25, -2.5]), maxval=jnp.array([0.6, 2.5])
@@ -179,16 +181,16 @@ def arm() -> Arm:
     it from the hand [m].
     """
 
-    def to_goal(data: Any) -> jax.Array:
+    def to_goal(data: Any) -> Array:
         return data.mocap_pos[0, :2] - data.site_xpos[0, :2]
 
-    def observe(data: Any) -> jax.Array:
+    def observe(data: Any) -> Array:
         q = data.qpos
         return jnp.concatenate(
             [jnp.cos(q), jnp.sin(q), 0.2 * data.qvel, data.mocap_pos[0, :2], to_goal(data)]
         )
 
-    def reward(data: Any, action: jax.Array) -> jax.Array:
+    def reward(data: Any, action: Array) -> Array:
         near = jnp.exp(-jnp.sum(jnp.square(to_goal(data))) / 0.02)
         still = jnp.exp(-0.05 * jnp.sum(jnp.square(data.qvel)))
         return near * (0.5 + 0.5 * still)

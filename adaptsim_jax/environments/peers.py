@@ -15,8 +15,9 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
-from adaptsim_jax.core.config import suggest
+from adaptsim_jax.core.config import Table, suggest
 from adaptsim_jax.core.errors import BadInput, one_line
 from adaptsim_jax.core.registry import function_named
 from adaptsim_jax.environments.fields import ModelField
@@ -28,7 +29,7 @@ OWN = {
 }
 
 
-def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -> Any:
+def load(name: str, options: Table | None = None, where: str = "env") -> Any:
     """The environment called `name`: `cartpole` or `arm` of ours, `playground:NAME`, `brax:NAME`,
     `gymnax:NAME`, `module:function` or `file.py:function`. options: Given to it. BadInput says what
     is missing, and how to get it.
@@ -55,7 +56,7 @@ def load(name: str, options: dict[str, Any] | None = None, where: str = "env") -
     return made(**options)
 
 
-def _playground(name: str, options: dict[str, Any], where: str) -> Any:
+def _playground(name: str, options: Table, where: str) -> Any:
     registry = _peer("mujoco_playground", "playground", where).registry
     if name not in registry.ALL_ENVS:
         raise BadInput(f"{where}: Playground has no '{name}'; {suggest(name, registry.ALL_ENVS)}")
@@ -88,12 +89,12 @@ def _playground(name: str, options: dict[str, Any], where: str) -> Any:
         ) from None
 
 
-def _brax(name: str, options: dict[str, Any], where: str) -> Any:
+def _brax(name: str, options: Table, where: str) -> Any:
     envs = _peer("brax.envs", "brax", where)
     return envs.get_environment(name, **({"backend": "mjx"} | options))
 
 
-def _gymnax(name: str, options: dict[str, Any], where: str) -> Any:
+def _gymnax(name: str, options: Table, where: str) -> Any:
     gymnax = _peer("gymnax", "gymnax", where)
     if name not in gymnax.registered_envs:
         raise BadInput(f"{where}: gymnax has no '{name}'; {suggest(name, gymnax.registered_envs)}")
@@ -109,7 +110,7 @@ def _peer(module: str, package: str, where: str) -> Any:
         ) from None
 
 
-_PEERS: dict[str, Callable[[str, dict[str, Any], str], Any]] = {
+_PEERS: dict[str, Callable[[str, Table, str], Any]] = {
     "playground": _playground,
     "brax": _brax,
     "gymnax": _gymnax,
@@ -120,10 +121,10 @@ class GymnaxMoment(NamedTuple):
     """gymnax's own state, and what its last step gave."""
 
     state: Any
-    key: jax.Array
-    obs: jax.Array
-    reward: jax.Array
-    done: jax.Array
+    key: Array
+    obs: Array
+    reward: Array
+    done: Array
 
 
 def from_gymnax(env: Any, params: Any, length: int = 0) -> SimulatedTask:

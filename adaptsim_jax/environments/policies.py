@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.stats import qmc
 
 from adaptsim_jax.core.errors import BadInput
@@ -31,13 +32,13 @@ class Law(NamedTuple):
     is told.
     """
 
-    mean: jax.Array
+    mean: Array
 
 
 class Tuned(NamedTuple):
     """A policy of its own: E's mean `[D]`, and its network."""
 
-    mean: jax.Array
+    mean: Array
     actor: Any
 
 
@@ -51,7 +52,7 @@ class Prepared(NamedTuple):
 
     learned: Any
     shown: Shown
-    starts: jax.Array
+    starts: Array
 
 
 def visit_shape(setting: Setting) -> int:
@@ -81,7 +82,7 @@ def acting_of(setting: Setting, learned: Any, starts: Any = (0.0, 0.0, 0.0)) -> 
     return ActingPolicy(lambda policy: (), act, luck)
 
 
-def policies_of(setting: Setting, learned: Any) -> Callable[[jax.Array], Any]:
+def policies_of(setting: Setting, learned: Any) -> Callable[[Array], Any]:
     """`(mean [D]) -> policy`, as it is before any tuning."""
     if setting.config.policy != "tuned":
         return Law
@@ -104,7 +105,7 @@ def everywhere(setting: Setting, known: bool = True) -> Worlds:
 
 
 def prepared_of(
-    setting: Setting, key: jax.Array, report: Callable = silent, kept: Kept | None = None
+    setting: Setting, key: Array, report: Callable = silent, kept: Kept | None = None
 ) -> Prepared:
     """Train the policy that knows E's mean, then look at what visits within Omega show. BadInput
     names a field that does nothing. kept: Holds the training while it lasts.
@@ -136,7 +137,7 @@ def prepared_of(
     return Prepared(learned, whitened(features, setting.config.components), starts_of(found))
 
 
-def starts_of(found: Rollout) -> jax.Array:
+def starts_of(found: Rollout) -> Array:
     """`Prepared.starts` of visits `found [N]` whose luck is the value of their start, by least
     squares.
     """
@@ -147,7 +148,7 @@ def starts_of(found: Rollout) -> jax.Array:
     return jnp.asarray([value.mean(), value.std(), max(slope, 0.0)], jnp.float32)
 
 
-def shaken(setting: Setting) -> Callable[[jax.Array], np.ndarray]:
+def shaken(setting: Setting) -> Callable[[Array], np.ndarray]:
     """`(u [N, D]) -> [N, K]` features of an episode under the same random actions. BadInput where
     its rewards are not finite.
     """
@@ -201,7 +202,7 @@ def check_pure(play: Play, values: np.ndarray) -> None:
 LEVELS = 5  # of a field's range, at which it is tried
 
 
-def check_fields(space: Space, features: Callable[[jax.Array], np.ndarray]) -> None:
+def check_fields(space: Space, features: Callable[[Array], np.ndarray]) -> None:
     """BadInput names a field that nothing follows from; a line of one from which nothing does in a
     part of its range.
 

@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.core.traced import digest_of, digest_of_arrays
 from adaptsim_jax.environments.episodes import (
@@ -53,8 +54,8 @@ class EnvironmentConfig:
 
     env: str = "cartpole"
     model: str = ""
-    options: dict[str, Any] = field(default_factory=dict)
-    fields: dict[str, Any] = field(default_factory=dict)
+    options: Table = field(default_factory=dict)
+    fields: Table = field(default_factory=dict)
     start: dict[str, float] = field(default_factory=dict)
     wide: float = 0.3
     trials: int = 1
@@ -67,7 +68,7 @@ class EnvironmentConfig:
     references: int = 8
     components: int = 12
     doubt: float = 0.3
-    targets: dict[str, Any] = field(default_factory=dict)
+    targets: Table = field(default_factory=dict)
 
     def __post_init__(self):
         check_counts(self, ("trials", "tune", "references", "components"))
@@ -76,7 +77,7 @@ class EnvironmentConfig:
                 raise BadInput(f"{name} = {getattr(self, name)}: give 0 or more")
 
 
-def read_env(path: str | Path) -> dict[str, Any]:
+def read_env(path: str | Path) -> Table:
     """An env.toml as the table of a run: the task's options under `task`, `phase1`, `hyper`,
     `seed`, `every` beside them.
 

@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import mujoco
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
@@ -53,12 +54,12 @@ class SimulatedTask:
     action_dim: int
     length: int
     dt: float
-    reset: Callable[[Any, jax.Array], Any]  # (model, key) -> state
-    step: Callable[..., Any]  # (model, state, action [A], physics=None) -> state
+    reset: Callable[[Any, Array], Any]  # (model, key) -> state
+    step: Callable  # (model, state, action [A], physics=None) -> state
     # state -> obs [O], reward [], done [] (float)
-    observed: Callable[[Any], tuple[jax.Array, jax.Array, jax.Array]]
+    observed: Callable[[Any], tuple[Array, Array, Array]]
     data: Callable[[Any], Any]  # state -> mjx.Data, None where there is none
-    edit: Callable[[Any, tuple[ModelField, ...], jax.Array], Any] = edited
+    edit: Callable[[Any, tuple[ModelField, ...], Array], Any] = edited
     interface: Mapping[str, float] = field(default_factory=dict)
     late: float = 0.0
     laws: Any = None
@@ -127,7 +128,7 @@ def simulated(
     )
 
 
-def edited_both(both: tuple[Any, Laws], fields: tuple[ModelField, ...], values: jax.Array) -> Any:
+def edited_both(both: tuple[Any, Laws], fields: tuple[ModelField, ...], values: Array) -> Any:
     """A model and its laws with `values [F]` of `fields`; `delay` is that of every command."""
     model, laws = both
     numbers: dict[tuple[str, str, Any], Any] = {}
@@ -164,7 +165,7 @@ def acting_physics() -> Physics | None:
     return _ACTING[-1] if _ACTING else None
 
 
-def number_of(given: Any, what: str) -> jax.Array:
+def number_of(given: Any, what: str) -> Array:
     """`given`, one number of any type and shape, as float32 `[]`. BadInput says what `what` is."""
     found = _numbers(given, what)
     if found.size != 1:
@@ -175,7 +176,7 @@ def number_of(given: Any, what: str) -> jax.Array:
     return found.reshape(())
 
 
-def vector_of(given: Any, what: str) -> jax.Array:
+def vector_of(given: Any, what: str) -> Array:
     """`given`, numbers in a row or one alone, as float32 `[O]`. BadInput says what `what` is."""
     found = _numbers(given, what)
     if found.ndim > 1:
@@ -183,7 +184,7 @@ def vector_of(given: Any, what: str) -> jax.Array:
     return found.reshape(-1)
 
 
-def _numbers(given: Any, what: str) -> jax.Array:
+def _numbers(given: Any, what: str) -> Array:
     try:
         return jnp.asarray(given, jnp.float32)
     except (TypeError, ValueError):
@@ -287,7 +288,7 @@ def stepping_by(physics: Physics | None, name: str) -> Iterator[None]:
         )
 
 
-def advance(model: Any, data: Any, ctrl: jax.Array, substeps: int) -> Any:
+def advance(model: Any, data: Any, ctrl: Array, substeps: int) -> Any:
     """`data` after `substeps` steps under `ctrl [nu]`, in MJX or in what a target steps with."""
     if _ACTING:
         return _ACTING[-1](model, data, ctrl, substeps)

@@ -11,6 +11,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.stats import qmc
 
 from adaptsim_jax.core import config as configs
@@ -172,7 +173,7 @@ def _training(setting: Setting, learned: Any) -> Callable:
     return train
 
 
-def _own_key(params: Any) -> jax.Array:
+def _own_key(params: Any) -> Array:
     """Of a target's own starts, which Phase 1 rates every policy from: luck with a start is no
     merit.
     """
@@ -209,18 +210,18 @@ def _reference(setting: Setting, rollout: Callable, policy_of: Callable) -> Call
     return reference
 
 
-def reference_means(setting: Setting) -> jax.Array:
+def reference_means(setting: Setting) -> Array:
     """Means of E `[references, D]` spread over Omega, whose policies scale a target's reward."""
     sobol = qmc.Sobol(setting.space.dim, rng=1)
     return jnp.asarray(sobol.random(setting.config.references), jnp.float32)
 
 
-def _scaled_reward(trajectory: Rollout, bounds: jax.Array) -> jax.Array:
+def _scaled_reward(trajectory: Rollout, bounds: Array) -> Array:
     spread = jnp.maximum(bounds[0] - bounds[1], MIN_SPREAD * jnp.abs(bounds[0]) + 1e-6)
     return jnp.minimum(1.0 - (bounds[0] - trajectory.score) / spread, 1.0)
 
 
-def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: jax.Array) -> jax.Array:
+def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: Array) -> Array:
     own = isinstance(policy, Tuned)
     actor = policy.actor if own else setting.trainer.policy(prepared.learned)
     return setting.trainer.act(actor, obs, 2.0 * policy.mean - 1.0)
@@ -272,7 +273,7 @@ def _wider(space: Space, fields: tuple[ModelField, ...], share: float) -> Space:
     return Space(tuple(one(p, f) for p, f in zip(space.parameters, fields, strict=False)))
 
 
-def play_in(setting: Setting, target: Target) -> tuple[Play, jax.Array]:
+def play_in(setting: Setting, target: Target) -> tuple[Play, Array]:
     """The environment as the target steps it, and its values `[F]`. It steps in MuJoCo C or, where
     the target says so, in the simulator. Of the fields that Omega lacks, those that the target
     changes have a value.

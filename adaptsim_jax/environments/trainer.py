@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.environments.episodes import ActingPolicy, Live, Play, episode
@@ -84,10 +85,10 @@ class Worlds(NamedTuple):
     the fields that are not of Omega, the same for all.
     """
 
-    low: jax.Array
-    high: jax.Array
-    known: jax.Array
-    rest: jax.Array
+    low: Array
+    high: Array
+    known: Array
+    rest: Array
 
 
 class Trainer(NamedTuple):
@@ -106,14 +107,14 @@ class Trainer(NamedTuple):
       are `mix[0]` times the policy's and `mix[1]` times random ones. None: it is not evaluated
     """
 
-    init: Callable[[jax.Array], Any]
-    begin: Callable[[jax.Array, Any], Any]
+    init: Callable[[Array], Any]
+    begin: Callable[[Array, Any], Any]
     train: Callable[..., tuple[Any, Any]]
     learned: Callable[[Any], Any]
     policy: Callable[[Any], Any]
-    act: Callable[[Any, jax.Array, jax.Array], jax.Array]
-    value: Callable[[Any, jax.Array, jax.Array], jax.Array]
-    returns: Callable[..., jax.Array] | None = None
+    act: Callable[[Any, Array, Array], Array]
+    value: Callable[[Any, Array, Array], Array]
+    returns: Callable[..., Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -157,12 +158,12 @@ class TrainerState(NamedTuple):
 
     ppo: PPOState
     live: Live
-    values: jax.Array
-    mean: jax.Array
-    carried: jax.Array
-    gained: jax.Array
-    number: jax.Array
-    rounds: jax.Array
+    values: Array
+    mean: Array
+    carried: Array
+    gained: Array
+    number: Array
+    rounds: Array
     hyper: PPOHyper
 
 
@@ -172,8 +173,8 @@ class Fresh(NamedTuple):
     """
 
     live: Live
-    values: jax.Array
-    mean: jax.Array
+    values: Array
+    mean: Array
 
 
 class TrainerInfo(NamedTuple):
@@ -183,12 +184,12 @@ class TrainerInfo(NamedTuple):
     observation at the first of the former, if there is one.
     """
 
-    episode: jax.Array
-    reward: jax.Array
-    spread: jax.Array
-    kl: jax.Array
-    lost: jax.Array
-    where: jax.Array
+    episode: Array
+    reward: Array
+    spread: Array
+    kl: Array
+    lost: Array
+    where: Array
 
 
 @dataclass(frozen=True)
@@ -298,7 +299,7 @@ class WorldsPPO:
         shares = lost.mean((0, 1))
         return state, TrainerInfo(ended_return, reward.mean(), info.spread, info.kl, shares, where)
 
-    def returns(self, key, policy, worlds: Worlds, mix, count: int) -> jax.Array:
+    def returns(self, key, policy, worlds: Worlds, mix, count: int) -> Array:
         """Returns `[count]` of episodes in worlds of their own, see `Trainer`."""
 
         def act(key, mean, memory, live):
@@ -330,13 +331,13 @@ def make_ppo_trainer(play: Play, space: Space, config: PPOTraining, obs_dim: int
     return Trainer(*functions, ppo.deployed, ppo.value, made.returns)
 
 
-def _blank(key: jax.Array, like: jax.ShapeDtypeStruct) -> jax.Array:
+def _blank(key: Array, like: jax.ShapeDtypeStruct) -> Array:
     if jnp.issubdtype(like.dtype, jax.dtypes.prng_key):
         return jax.random.split(key, like.shape)
     return jnp.zeros(like.shape, like.dtype)
 
 
-def _choose(on: jax.Array, a: Any, b: Any) -> Any:
+def _choose(on: Array, a: Any, b: Any) -> Any:
     """Of pytrees `[B, ...]`: `a` where `on [B]`, else `b`."""
 
     def one(x, y):

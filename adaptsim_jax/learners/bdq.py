@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import Array
 from jax.flatten_util import ravel_pytree
 
 from adaptsim_jax.core.errors import BadInput
@@ -27,9 +28,7 @@ from adaptsim_jax.learners.replay import Transition
 # arrays.
 
 
-def flat(
-    network: nn.Module, obs_dim: int
-) -> tuple[Callable[[jax.Array], jax.Array], Callable[..., Any]]:
+def flat(network: nn.Module, obs_dim: int) -> tuple[Callable[[Array], Array], Callable]:
     """`init(key) -> weights [n]` and `apply(weights, obs [..., obs_dim])` of a network."""
     example = jnp.zeros((1, obs_dim))
     # shapes only: running the initialisation here would compile it operation by operation
@@ -40,7 +39,7 @@ def flat(
     ], lambda weights, obs: network.apply(unravel(weights), obs)
 
 
-def adam_step(weights: jax.Array, opt: Any, grad: jax.Array, hyper: Any) -> tuple[Any, Any, Any]:
+def adam_step(weights: Array, opt: Any, grad: Array, hyper: Any) -> tuple[Any, Any, Any]:
     """One step of Adam from a gradient that is scaled down to `hyper.max_grad_norm`.
 
     Returns:
@@ -53,14 +52,14 @@ def adam_step(weights: jax.Array, opt: Any, grad: jax.Array, hyper: Any) -> tupl
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(1, 2))
-def held(x: jax.Array, low: float, high: float) -> jax.Array:
+def held(x: Array, low: float, high: float) -> Array:
     """`x` clipped, with a gradient beyond the bounds that leads back to them: what only clips never
     comes back.
     """
     return jnp.clip(x, low, high)
 
 
-def _held_back(low: float, high: float, x: jax.Array, slope: jax.Array) -> tuple[jax.Array]:
+def _held_back(low: float, high: float, x: Array, slope: Array) -> tuple[Array]:
     outwards = ((x < low) & (slope > 0)) | ((x > high) & (slope < 0))  # a descent follows -slope
     return (jnp.where(outwards, 0.0, slope),)
 
@@ -68,7 +67,7 @@ def _held_back(low: float, high: float, x: jax.Array, slope: jax.Array) -> tuple
 held.defvjp(lambda x, low, high: (jnp.clip(x, low, high), x), _held_back)
 
 
-ACTIVATIONS: dict[str, Callable[[jax.Array], jax.Array]] = {
+ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "elu": nn.elu,
     "relu": nn.relu,
     "silu": nn.silu,
@@ -108,8 +107,8 @@ class BDQState(NamedTuple):
     for each layer.
     """
 
-    online: jax.Array
-    target: jax.Array
+    online: Array
+    target: Array
     opt: optax.OptState
 
 
@@ -118,9 +117,9 @@ class BDQInfo(NamedTuple):
     `[]`.
     """
 
-    loss: jax.Array
-    q: jax.Array
-    grad_norm: jax.Array
+    loss: Array
+    q: Array
+    grad_norm: Array
 
 
 class BranchingNetwork(nn.Module):
@@ -129,7 +128,7 @@ class BranchingNetwork(nn.Module):
     config: BDQConfig
 
     @nn.compact
-    def __call__(self, obs: jax.Array) -> jax.Array:
+    def __call__(self, obs: Array) -> Array:
         cfg = self.config
         x = obs
         for width in cfg.hidden:
@@ -150,10 +149,10 @@ class BDQ(NamedTuple):
     """The learner as pure functions; see `make_bdq`."""
 
     config: BDQConfig
-    init: Callable[[jax.Array], BDQState]
-    q_values: Callable[[jax.Array, jax.Array], jax.Array]
-    greedy: Callable[[jax.Array, jax.Array], jax.Array]
-    act: Callable[..., jax.Array]
+    init: Callable[[Array], BDQState]
+    q_values: Callable[[Array, Array], Array]
+    greedy: Callable[[Array, Array], Array]
+    act: Callable[..., Array]
     update: Callable[..., tuple[BDQState, BDQInfo]]
 
 
@@ -195,12 +194,12 @@ def make_bdq(config: BDQConfig) -> BDQ:
 
 
 def explore(
-    key: jax.Array,
-    action: jax.Array,
+    key: Array,
+    action: Array,
     bins: int,
-    epsilon: jax.Array | float,
-    independent: jax.Array | float = 0.0,
-) -> jax.Array:
+    epsilon: Array | float,
+    independent: Array | float = 0.0,
+) -> Array:
     """With probability epsilon replace a whole action `[..., branches]` by a uniform one.
 
     With `independent` 1 every branch tosses its own coin: a branch is then mostly valued beside
@@ -213,12 +212,12 @@ def explore(
     return jnp.where(tosses < epsilon, random, action)
 
 
-def taken(q: jax.Array, action: jax.Array) -> jax.Array:
+def taken(q: Array, action: Array) -> Array:
     """Q of the chosen bins: `[..., branches, bins]`, `[..., branches]` -> `[..., branches]`."""
     return jnp.take_along_axis(q, action[..., None], -1)[..., 0]
 
 
-def double_q_target(q_values, state: BDQState, batch: Transition, discount: jax.Array) -> jax.Array:
+def double_q_target(q_values, state: BDQState, batch: Transition, discount: Array) -> Array:
     """`[B]`: the online network chooses in each branch, the target network values, branches are
     averaged.
     """

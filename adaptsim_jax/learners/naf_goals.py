@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
@@ -36,11 +37,11 @@ class GoalProblem(NamedTuple):
         policies, the first included, and not with the last.
     """
 
-    draw: Callable[[jax.Array], jax.Array]
-    see: Callable[[jax.Array], jax.Array]
-    trial: Callable[[jax.Array, Any, jax.Array], jax.Array]
-    reward: Callable[[jax.Array, jax.Array], jax.Array]
-    worth: Callable[[jax.Array, Any, Callable], jax.Array] | None = None
+    draw: Callable[[Array], Array]
+    see: Callable[[Array], Array]
+    trial: Callable[[Array, Any, Array], Array]
+    reward: Callable[[Array, Array], Array]
+    worth: Callable[[Array, Any, Callable], Array] | None = None
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,9 @@ class GoalConfig:
 class Trials(NamedTuple):
     """Stored trials: goal `[..., g]` aimed at, action `[..., d]`, outcome `[..., k]`."""
 
-    goal: jax.Array
-    action: jax.Array
-    outcome: jax.Array
+    goal: Array
+    action: Array
+    outcome: Array
 
 
 class GoalState(NamedTuple):
@@ -96,7 +97,7 @@ class GoalLearner:
     config: GoalConfig
     hyper: NAFHyper
 
-    def train(self, keys, weights, contexts, rounds, longest) -> jax.Array:
+    def train(self, keys, weights, contexts, rounds, longest) -> Array:
         """`P` policies together, each for its own number of rounds, from an empty replay.
 
         Args:
@@ -129,7 +130,7 @@ class GoalLearner:
         first = (begin, weights, self._valued(checks, contexts, weights))
         return jax.lax.fori_loop(0, longest, checked, first)[1]
 
-    def tune(self, key, weights, trials: Trials, used, updates: int) -> jax.Array:
+    def tune(self, key, weights, trials: Trials, used, updates: int) -> Array:
         """One policy from the first `used []` of given trials `[N]`, made anywhere.
 
         Returns:
@@ -170,7 +171,7 @@ class GoalLearner:
 
         return jax.lax.scan(update, learner, batches)[0]
 
-    def _valued(self, keys, contexts, weights) -> jax.Array:
+    def _valued(self, keys, contexts, weights) -> Array:
         """How good policies are, `[P]`."""
         worth = self.problem.worth
         assert worth is not None
@@ -233,7 +234,7 @@ class GoalLearner:
         nothing = jnp.zeros((*shape, 0), obs.dtype)  # one step: no next observation
         return Transition(obs, trials.action, reward, nothing, jnp.zeros_like(reward))
 
-    def _likely(self, weights, candidates: Trials, goals, done, level) -> jax.Array:
+    def _likely(self, weights, candidates: Trials, goals, done, level) -> Array:
         """Which of `candidates [..., m]` each goal takes: good for it, and near what the policy
         would do now.
         """
@@ -242,7 +243,7 @@ class GoalLearner:
         return likely_candidate(self.config, reward, candidates.action, best, done, level)
 
 
-def likely_candidate(config: Any, reward, action, best, done, level) -> jax.Array:
+def likely_candidate(config: Any, reward, action, best, done, level) -> Array:
     """Which candidate is taken: in proportion to `exp(reward / temperature - |a - best|^2 / 2
     width^2)`.
 

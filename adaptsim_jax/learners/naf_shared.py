@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF, NAFHyper
@@ -58,12 +59,12 @@ class SharedLearner:
 
     naf: NAF
     problem: GoalProblem
-    context: Callable[[jax.Array], jax.Array]
-    shown: Callable[[jax.Array], jax.Array]
+    context: Callable[[Array], Array]
+    shown: Callable[[Array], Array]
     config: SharedConfig
     hyper: NAFHyper
 
-    def train(self, key: jax.Array) -> jax.Array:
+    def train(self, key: Array) -> Array:
         """Weights `[n]` of the network."""
         made_key, start_key, learn_key = jax.random.split(key, 3)
         data = self._data(made_key)
@@ -121,7 +122,7 @@ class SharedLearner:
         return Transition(obs, chosen, earned, nothing, jnp.zeros_like(earned))
 
 
-def fold(weights: jax.Array, obs_dim: int, extra: int, width: int) -> tuple[jax.Array, jax.Array]:
+def fold(weights: Array, obs_dim: int, extra: int, width: int) -> tuple[Array, Array]:
     """A network of `obs_dim + extra` inputs and a first layer of `width` units where the extra
     inputs are 0: weights of the network without them, and what they add to its first bias, `[extra,
     width]`.
@@ -134,6 +135,6 @@ def fold(weights: jax.Array, obs_dim: int, extra: int, width: int) -> tuple[jax.
     return jnp.concatenate([bias, kernel[:obs_dim].reshape(-1), rest]), kernel[obs_dim:]
 
 
-def move(weights: jax.Array, tilt: jax.Array, by: jax.Array) -> jax.Array:
+def move(weights: Array, tilt: Array, by: Array) -> Array:
     """Folded weights where the extra inputs `[extra]` change `by` so much."""
     return weights.at[: tilt.shape[1]].add(jnp.sum(by[:, None] * tilt, 0))

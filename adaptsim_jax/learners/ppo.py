@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import ACTIVATIONS, adam_step, flat, held
@@ -65,31 +66,31 @@ class PPOHyper:
 class RunningScale(NamedTuple):
     """Count, mean and sum of squares about it, of numbers seen so far."""
 
-    count: jax.Array
-    mean: jax.Array
-    squares: jax.Array
+    count: Array
+    mean: Array
+    squares: Array
 
     @classmethod
     def blank(cls, shape: int | tuple[int, ...]) -> "RunningScale":
         return cls(jnp.zeros(()), jnp.zeros(shape), jnp.zeros(shape))
 
     @property
-    def std(self) -> jax.Array:
+    def std(self) -> Array:
         return jnp.sqrt(self.squares / jnp.maximum(self.count, 1.0)) + 1e-4
 
 
 class Actor(NamedTuple):
     """What is deployed: weights `[n]`, mean and standard deviation `[O]` of observations."""
 
-    weights: jax.Array
-    mean: jax.Array
-    std: jax.Array
+    weights: Array
+    mean: Array
+    std: Array
 
 
 class PPOState(NamedTuple):
     """What the next update needs. `gain`: of discounted returns, whose spread scales rewards."""
 
-    weights: jax.Array
+    weights: Array
     opt: optax.OptState
     obs: RunningScale
     gain: RunningScale
@@ -102,15 +103,15 @@ class Unroll(NamedTuple):
     before this batch, for the spread of returns.
     """
 
-    obs: jax.Array
-    extra: jax.Array
-    action: jax.Array
-    log_prob: jax.Array
-    reward: jax.Array
-    after: jax.Array
-    ended: jax.Array
-    cut: jax.Array
-    carried: jax.Array
+    obs: Array
+    extra: Array
+    action: Array
+    log_prob: Array
+    reward: Array
+    after: Array
+    ended: Array
+    cut: Array
+    carried: Array
 
 
 class PPOInfo(NamedTuple):
@@ -118,10 +119,10 @@ class PPOInfo(NamedTuple):
     policy is from the old (KL).
     """
 
-    policy_loss: jax.Array
-    value_loss: jax.Array
-    spread: jax.Array
-    kl: jax.Array
+    policy_loss: Array
+    value_loss: Array
+    spread: Array
+    kl: Array
 
 
 class ActorCritic(nn.Module):
@@ -130,7 +131,7 @@ class ActorCritic(nn.Module):
     config: PPOConfig
 
     @nn.compact
-    def __call__(self, x: jax.Array):
+    def __call__(self, x: Array):
         cfg = self.config
 
         orthogonal = nn.initializers.orthogonal(np.sqrt(2))
@@ -153,11 +154,11 @@ class PPO(NamedTuple):
     """The learner as pure functions; see `make_ppo`."""
 
     config: PPOConfig
-    init: Callable[[jax.Array], PPOState]
+    init: Callable[[Array], PPOState]
     actor: Callable[[PPOState], Actor]
-    deployed: Callable[[Actor, jax.Array, jax.Array], jax.Array]
-    value: Callable[[Actor, jax.Array, jax.Array], jax.Array]
-    act: Callable[..., tuple[jax.Array, jax.Array]]
+    deployed: Callable[[Actor, Array, Array], Array]
+    value: Callable[[Actor, Array, Array], Array]
+    act: Callable[..., tuple[Array, Array]]
     update: Callable[..., tuple[PPOState, PPOInfo]]
 
 
@@ -220,9 +221,7 @@ def make_ppo(config: PPOConfig) -> PPO:
     return PPO(config, init, actor, deployed, value, act, update)
 
 
-def gae(
-    reward: jax.Array, value: jax.Array, after: jax.Array, batch: Unroll, hyper: PPOHyper
-) -> jax.Array:
+def gae(reward: Array, value: Array, after: Array, batch: Unroll, hyper: PPOHyper) -> Array:
     """Advantages `[T, B]` from rewards and values `[T, B]` before and `after` each step (Schulman
     et al. 2016).
     """
@@ -237,7 +236,7 @@ def gae(
     return jax.lax.scan(back, jnp.zeros_like(delta[0]), (delta, on), reverse=True)[1]
 
 
-def carried(batch: Unroll, discount: jax.Array | float) -> tuple[jax.Array, jax.Array]:
+def carried(batch: Unroll, discount: Array | float) -> tuple[Array, Array]:
     """Discounted rewards of an episode so far: at each step `[T, B]`, and what the next batch
     begins with `[B]`.
     """
@@ -252,7 +251,7 @@ def carried(batch: Unroll, discount: jax.Array | float) -> tuple[jax.Array, jax.
     return every, rest
 
 
-def _scaled(gain: RunningScale, batch: Unroll, discount) -> tuple[jax.Array, RunningScale]:
+def _scaled(gain: RunningScale, batch: Unroll, discount) -> tuple[Array, RunningScale]:
     every, _ = carried(batch, discount)
     gain = _more(gain, every[..., None], last=())
     return jnp.clip(
@@ -260,9 +259,7 @@ def _scaled(gain: RunningScale, batch: Unroll, discount) -> tuple[jax.Array, Run
     ), gain
 
 
-def _more(
-    scale: RunningScale, rows: jax.Array, last: tuple[int, ...] | None = None
-) -> RunningScale:
+def _more(scale: RunningScale, rows: Array, last: tuple[int, ...] | None = None) -> RunningScale:
     """`scale` with `rows [T, B, n]` added (Chan et al. 1979), as far as they are `_near`."""
     flat_rows = _near(scale, rows.reshape(-1, rows.shape[-1]))
     count, mean = jnp.asarray(flat_rows.shape[0], jnp.float32), flat_rows.mean(0)
@@ -276,7 +273,7 @@ def _more(
     return RunningScale(total, mean, squares)
 
 
-def _near(scale: RunningScale, rows: jax.Array) -> jax.Array:
+def _near(scale: RunningScale, rows: Array) -> Array:
     """`rows [N, n]` at most `MAX_DEVIATIONS` from the mean. A world that blows up goes to 1e27 before it is no
     number: one such row would hide all else for good. What is rarer than one row in `MAX_DEVIATIONS^2` stays
     far; what is not widens the scale until it is near.
@@ -316,7 +313,7 @@ def _epochs(key, config: PPOConfig, loss, carry, rows, hyper):
     return jax.lax.scan(epoch, carry, jax.random.split(key, config.epochs))
 
 
-def _shuffled(key: jax.Array, count: int) -> jax.Array:
+def _shuffled(key: Array, count: int) -> Array:
     """0 to `count` - 1 in random order `[count]`, by one sort of random numbers that end in their
     index: on a CPU an eighth of the time of `jax.random.permutation`. Rows whose numbers tie keep
     their order, which matters at the edges of a minibatch alone.
@@ -341,7 +338,7 @@ def _loss(apply, part, hyper: PPOHyper):
     return total, PPOInfo(-gained, wrong, jnp.exp(log_std).mean(), (ratio - 1.0 - change).mean())
 
 
-def _log_prob(action, mean, log_std) -> jax.Array:
+def _log_prob(action, mean, log_std) -> Array:
     log_std = log_std.reshape(*(1,) * (mean.ndim - 1), -1)
     z = (action - mean) / jnp.exp(log_std)
     return (-0.5 * jnp.square(z) - log_std - 0.5 * np.log(2 * np.pi)).sum(-1)

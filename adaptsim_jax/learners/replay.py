@@ -9,6 +9,7 @@ from typing import NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 
@@ -23,11 +24,11 @@ class Transition(NamedTuple):
     bootstrap: `[...]`, 0 where nothing follows and 1 elsewhere.
     """
 
-    obs: jax.Array
-    action: jax.Array
-    reward: jax.Array
-    next_obs: jax.Array
-    bootstrap: jax.Array
+    obs: Array
+    action: Array
+    reward: Array
+    next_obs: Array
+    bootstrap: Array
 
 
 def check_capacity(capacity: int, block: int) -> None:
@@ -49,7 +50,7 @@ def empty(example: Items, capacity: int) -> Items:
     return jax.tree.map(lambda x: jnp.zeros((capacity, *x.shape), x.dtype), example)
 
 
-def write(ring: Items, block: Items, count: jax.Array) -> Items:
+def write(ring: Items, block: Items, count: Array) -> Items:
     """Write the `count`-th block `[block, ...]` (counted from 0) over the oldest items."""
 
     def put(store, new):
@@ -59,7 +60,7 @@ def write(ring: Items, block: Items, count: jax.Array) -> Items:
     return jax.tree.map(put, ring, block)
 
 
-def sample(key: jax.Array, ring: Items, filled: jax.Array, shape: tuple[int, ...]) -> Items:
+def sample(key: Array, ring: Items, filled: Array, shape: tuple[int, ...]) -> Items:
     """Draw `[*shape, ...]` items uniformly with replacement from the first `filled` places."""
     index = jax.random.randint(key, shape, 0, filled)
     return jax.tree.map(lambda store: jnp.take(store, index, axis=0), ring)

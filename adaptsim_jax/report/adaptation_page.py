@@ -2,8 +2,8 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import explore
 from adaptsim_jax.report import figures as look
@@ -22,7 +22,7 @@ from adaptsim_jax.report.explore import (
 )
 
 
-def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
+def write_adaptation_page(results: Mapping, path: Path) -> Path:
     """Write the page for `results` (of `compare`) to `path`, whole or not at all. Raises BadInput
     where it cannot.
     """
@@ -30,13 +30,13 @@ def write_adaptation_page(results: Mapping[str, Any], path: Path) -> Path:
     return path
 
 
-def render(results: Mapping[str, Any]) -> str:
+def render(results: Mapping) -> str:
     """The page as text."""
     rows = results["rows"]
     settings = look.distinct(rows, "setting")
     methods = look.distinct(rows, "method")
     cells = {(r["method"], r["setting"]): _cell(r) for r in rows}
-    curves = _rewards(results)
+    curves = rewards(results)
     if "reward" not in results:
         words = _CURVES
     elif "trials_axis" in results:
@@ -90,7 +90,7 @@ _TARGETS = (
 )
 
 
-def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> str:
+def headline(rows: list[Mapping], what: str = "Normalized reward") -> str:
     """One sentence: how AdaptSim did beside the better SysID baseline, in the settings where both
     ran.
     """
@@ -112,7 +112,7 @@ def headline(rows: list[Mapping[str, Any]], what: str = "Normalized reward") -> 
     return f"{what} of AdaptSim: " + ", ".join(parts)
 
 
-def _scale(results: Mapping[str, Any]) -> str:
+def _scale(results: Mapping) -> str:
     note = _INTERVAL[look.one_seed(results["rows"])]
     if any(r["setting"] in look.SETTINGS for r in results["rows"]):
         note += _TARGETS
@@ -121,7 +121,7 @@ def _scale(results: Mapping[str, Any]) -> str:
     return _NORMALISED.format(beside=note, starts=results["starts"])
 
 
-def _cell(r: Mapping[str, Any]) -> dict[str, str]:
+def _cell(r: Mapping) -> dict[str, str]:
     def number(v):
         if v is None:
             return "fails"
@@ -144,7 +144,7 @@ def _cell(r: Mapping[str, Any]) -> dict[str, str]:
 # setting
 
 
-def _rewards(results: Mapping[str, Any]) -> str:
+def rewards(results: Mapping) -> str:
     """Two plots for each setting, of the rows that have a curve over iterations; empty where none
     has.
     """
@@ -167,13 +167,11 @@ def _rewards(results: Mapping[str, Any]) -> str:
     return ""
 
 
-def _curves(
-    rows: Sequence[Mapping[str, Any]], bottom: float, what: str, over: str
-) -> dict[str, Any]:
+def _curves(rows: Sequence[Mapping], bottom: float, what: str, over: str) -> Table:
     """Median over seeds with its quartiles, a line a method. No value is drawn where the policy
     destabilised the target.
     """
-    data: list[dict[str, Any]] = []
+    data: list[Table] = []
     most = 0
     for r in rows:
         name, style = shown(look.label(r["method"])), look.style(r["method"])
@@ -193,11 +191,11 @@ def _curves(
     return figure(data, across, rewards, f"over {over}", hovermode="x unified")
 
 
-def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, over: str) -> dict[str, Any]:
+def _seeds(rows: Sequence[Mapping], bottom: float, over: str) -> Table:
     """Best iteration, or what is deployed at last: every seed as a dot, and the mean with its 95 %
     interval where there are seeds to take one over.
     """
-    data: list[dict[str, Any]] = []
+    data: list[Table] = []
     names = [shown(look.label(r["method"])) for r in rows]
     for r, name in zip(rows, names, strict=True):
         seeds = [(i, v) for i, v in enumerate(r["per_seed"]) if v is not None]
@@ -219,7 +217,7 @@ def _seeds(rows: Sequence[Mapping[str, Any]], bottom: float, over: str) -> dict[
     return figure(data, axis(best, **limits), methods, title)
 
 
-def _mean(r: Mapping[str, Any], name: str) -> dict[str, Any]:
+def _mean(r: Mapping, name: str) -> Table:
     """The mean over seeds, with its interval where it has one."""
     colour, mean, interval = look.colour(r["method"]), r["mean"], {}
     if r["low"] is not None and r["high"] is not None:

@@ -1,13 +1,12 @@
 """What `adaptsim close` shows: returns before and after, as a table and on a page."""
 
 from collections.abc import Mapping
-from typing import Any
 
 from adaptsim_jax.report.explore import filled
 from adaptsim_jax.report.figures import distinct, label
 
 
-def cells(found: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]]]]:
+def cells(found: Mapping) -> list[tuple[str, str, list[tuple[str, str]]]]:
     """By target and method `(simulator, return)`: mean over seeds, with the range of them."""
     rows = found["rows"]
     out = []
@@ -18,14 +17,14 @@ def cells(found: Mapping[str, Any]) -> list[tuple[str, str, list[tuple[str, str]
     return out
 
 
-def _written(row: Mapping[str, Any]) -> str:
+def _written(row: Mapping) -> str:
     low, high = min(row["returns"]), max(row["returns"])
     if len(row["returns"]) == 1:
         return f"{row['mean']:.4g}"
     return f"{row['mean']:.4g} ({low:.4g} to {high:.4g})"
 
 
-def table(found: Mapping[str, Any]) -> str:
+def table(found: Mapping) -> str:
     """For a terminal: what was found, then a line for each target, method and simulator."""
     lines = [found["diagnosis"]["message"], ""]
     lines.append(f"returns after at most {found['trials']} target trials, mean over seeds (range):")
@@ -37,6 +36,6 @@ def table(found: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def page(found: Mapping[str, Any]) -> str:
+def page(found: Mapping) -> str:
     """The page as text."""
     return filled("closed.html.j2", found=found, cells=cells(found))

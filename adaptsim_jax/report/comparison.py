@@ -1,36 +1,27 @@
-"""What `adaptsim compare` leaves in its folder: results.json, table.md, figures and report.html."""
+"""What `adaptsim compare` leaves in its folder: results.json, table.md and report.html, whose plots
+are to be explored.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report import figures_comparison as draw
 from adaptsim_jax.report.adaptation_page import write_adaptation_page
 
 
-def write_comparison(results: Mapping[str, Any], out: str | Path) -> list[Path]:
+def write_comparison(results: Mapping, out: str | Path) -> list[Path]:
     """Write all of it into `out` (made if need be); returns the paths. Raises BadInput where it
     cannot be written.
     """
     out = output_folder(Path(out))
     write_json(out / "results.json", results)
     write_bytes(out / "table.md", table(results).encode())
-    paths = [out / "results.json", out / "table.md"]
-    visiting = {r["method"] for r in results["rows"] if len(r["curve"]["median"]) > 1}
-    late = {m for m in visiting if m.endswith("_state")}
-    for name, methods in (
-        ("reward_over_iterations", visiting - late),
-        ("reward_over_iterations_state", late),
-    ):
-        if methods:
-            figure = draw.reward_over_iterations(results, look.in_order(methods))
-            paths.append(look.save(figure, out / f"{name}.png"))
-    return [*paths, write_adaptation_page(results, out / "report.html")]
+    page = write_adaptation_page(results, out / "report.html")
+    return [out / "results.json", out / "table.md", page]
 
 
-def table(results: Mapping[str, Any]) -> str:
+def table(results: Mapping) -> str:
     """Table 1 in Markdown: for each method and setting the mean over seeds of the best iteration,
     and what else counts.
     """
@@ -70,7 +61,7 @@ def _over_seeds(across) -> list[str]:
     ]
 
 
-def _by_trials(results: Mapping[str, Any], across) -> list[str]:
+def _by_trials(results: Mapping, across) -> list[str]:
     """What is deployed at last, in each target, and in each target what was deployed after fewer
     trials.
     """
@@ -110,7 +101,7 @@ def _of_one(across) -> list[str]:
     ]
 
 
-def _spread(r: Mapping[str, Any], *keys: str) -> str:
+def _spread(r: Mapping, *keys: str) -> str:
     """The number and what it is within; of one seed among rows of several, the number alone."""
     middle, low, high = (_number(r[key]) for key in keys)
     if look.one_seed([r]):
@@ -138,7 +129,7 @@ def _number(value: float | None) -> str:
     return f"{value:.2f}"
 
 
-def _returns(r: Mapping[str, Any]) -> str:
+def _returns(r: Mapping) -> str:
     values = r["returns"]
     if None in values:
         return "fails"
@@ -188,7 +179,7 @@ def _failures(rows) -> list[str]:
     return []
 
 
-def _discrepancy(r: Mapping[str, Any]) -> str:
+def _discrepancy(r: Mapping) -> str:
     if "discrepancy" in r:
         return _number(r["discrepancy"]["median"])
     return "-"

@@ -11,25 +11,25 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder, write_bytes
-from adaptsim_jax.report import comparison
+from adaptsim_jax.report import comparison, explore
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report import figures_comparison as draw
+from adaptsim_jax.report.adaptation_page import rewards
 from adaptsim_jax.report.explore import filled
 
 # ---------------------------------------------------------------- figures
 #
-# The figures of the tour: what learning earned, the comparison, a recording explained.
+# The figures of the tour: what learning earned, and where methods ended.
 
 SHADES = ("#0072B2", "#56B4E9", "#004d7a")
 CURVES = ("adaptsim", "sysid_bayes", "sysid_point")
-MEASURED, DECLARED, MENDED = "#7b8794", "#c4540a", "#1767b0"
-SHOWN = 2.0  # s of a recording
 
 
-def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
+def learning_curves(metrics: Sequence[Sequence[Mapping]]) -> Figure:
     """Mean reward that is learned from, a line for each run's `metrics.jsonl`.
 
     It lies in [0, 1]. The task's own reward has no lower end, and a few hopeless starts would hide
@@ -48,15 +48,7 @@ def learning_curves(metrics: Sequence[Sequence[Mapping[str, Any]]]) -> Figure:
     return figure
 
 
-def rewards_over_iterations(results: Mapping[str, Any]) -> Figure:
-    """The paper's reward over iterations for the one setting of the tour."""
-    figure = draw.reward_over_iterations(results, CURVES)
-    figure.set_size_inches(4.6, 3.4)
-    figure.axes[0].set_title("")
-    return figure
-
-
-def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, Any]]) -> Figure:
+def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping]) -> Figure:
     """The paper's figure 5: the best policy's parameters of each seed on the map of what could be
     earned.
     """
@@ -67,62 +59,6 @@ def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping[str, 
     }
     figure = draw.parameter_map(chart, target, found)
     figure.set_size_inches(4.6, 3.9)
-    return figure
-
-
-def recording_explained(trial: Mapping[str, Any], channel: str) -> Figure:
-    """Two seconds of one trial, measured and simulated by the declared and the mended model, and
-    under it what each is off by.
-
-    `trial`: of `held_out` of a diagnosis; each half second is simulated from its own fitted start.
-    """
-    time = np.asarray(trial["time"], float)
-    rows = time <= time[np.isfinite(time)][0] + SHOWN
-    columns = [("declared", DECLARED, trial["before"][channel])]
-    columns += [("mended", MENDED, trial["after"][channel])] if trial.get("after") else []
-    measured = np.asarray(trial["measured"][channel], float)[rows]
-    figure, (top, low) = look.new_figure(4.6, 3.4, 2, 1, sharex=True, height_ratios=(1.6, 1))
-    top.plot(time[rows], measured, color=MEASURED, linewidth=4.0, alpha=0.5, label="measured")
-    for name, colour, values in columns:
-        simulated = np.asarray(values, float)[rows]
-        top.plot(time[rows], simulated, color=colour, linewidth=1.3, label=f"{name} model")
-        low.plot(time[rows], 1e3 * (measured - simulated), color=colour, linewidth=1.2)
-    for ax in (top, low):
-        look.style_axes(ax)
-    top.set_ylabel("angle (rad)", fontsize=8.5)
-    low.set_ylabel("off by (mrad)", fontsize=8.5)
-    low.set_xlabel("time (s)", fontsize=8.5)
-    figure.legend(
-        *top.get_legend_handles_labels(),
-        loc="outside lower center",
-        ncols=3,
-        frameon=False,
-        fontsize=8,
-    )
-    return figure
-
-
-def errors_by_trial(error: Mapping[str, Any]) -> Figure:
-    """The error on each left-out trial under the declared and the mended model, and what noise
-    alone leaves; `error` of a report.
-    """
-    trials = [row for row in error["per_trial"] if row.get("before") is not None]
-    figure, (ax,) = look.new_figure(4.6, 3.4)
-    for k, row in enumerate(trials):
-        after = row["before"] if row.get("after") is None else row["after"]
-        ax.plot([1e3 * row["before"], 1e3 * after], [k, k], color=look.GRID, linewidth=2, zorder=1)
-        ax.plot(
-            1e3 * row["before"], k, "o", color=DECLARED, label="declared model" if k == 0 else None
-        )
-        ax.plot(1e3 * after, k, "o", color=MENDED, label="mended model" if k == 0 else None)
-    if (floor := error.get("noise_floor")) is not None:
-        ax.axvline(1e3 * floor, color="#2f855a", linestyle="--", linewidth=1.3, label="noise alone")
-    look.style_axes(ax)
-    ax.set_yticks(range(len(trials)), [str(row["trial"]).replace("_", " ") for row in trials])
-    ax.invert_yaxis()
-    ax.set_xlim(0, None)
-    ax.set_xlabel("error on the trial, left out of the fit (mrad)", fontsize=8.5)
-    figure.legend(loc="outside lower center", ncols=3, frameon=False, fontsize=8)
     return figure
 
 
@@ -142,22 +78,16 @@ def write_demo(tour: Any, out: Path) -> None:
     write_bytes(out / "index.html", page.encode())
 
 
-def drawn(tour: Any) -> dict[str, Any]:
+def drawn(tour: Any) -> Table:
     """The figures by name."""
     task = tour.adapted[0].trained.phase1.task
     target = np.asarray(task.space.values(task.settings[setting_of(tour)], setting_of(tour)))
-    found = tour.diagnosis
-    pictures = {
+    return {
         "learning": learning_curves([one.folder.read_metrics() for one in tour.adapted]),
-        "iterations": rewards_over_iterations(tour.results),
         "map": reward_map(tour.reward_map, target[:2].tolist(), tour.results["rows"]),
         "push": tour.push.figure,
         "scoop": tour.scoop.figure,
-        "errors": errors_by_trial(found.report["error"]),
     }
-    for trial in found.held_out[:1]:
-        pictures["recording"] = recording_explained(trial, next(iter(trial["measured"])))
-    return pictures
 
 
 def setting_of(tour: Any) -> str:
@@ -177,10 +107,12 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
         parameters=parameter_rows(tour),
         rows=method_rows(tour.results),
         pictures=pictures,
+        curves=rewards(tour.results),
+        script=explore.script(),
         results=tour.results,
         push=contact_words(tour.push, out),
         scoop=contact_words(tour.scoop, out),
-        diagnosis=diagnosis_words(tour.diagnosis.report),
+        diagnosis=diagnosis_words(tour.diagnosis),
         double=None if tour.double is None else diagnosis_words(tour.double),
         full=tour.double is not None,
         commands=tour.commands,
@@ -188,7 +120,7 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
     )
 
 
-def contact_words(found: Any, out: Path) -> dict[str, Any]:
+def contact_words(found: Any, out: Path) -> Table:
     """The push or the scoop: rewards before and after, trials spent, target and what was found, and
     the film's place.
     """
@@ -207,7 +139,7 @@ def contact_words(found: Any, out: Path) -> dict[str, Any]:
     }
 
 
-def parameter_rows(tour: Any) -> list[dict[str, Any]]:
+def parameter_rows(tour: Any) -> list[Table]:
     """Omega, the target, and what the first run's best policy was trained at."""
     one = tour.adapted[0]
     space = one.trained.phase1.task.space
@@ -226,7 +158,7 @@ def parameter_rows(tour: Any) -> list[dict[str, Any]]:
     ]
 
 
-def method_rows(results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def method_rows(results: Mapping) -> list[Table]:
     """The comparison table, a row a method."""
     return [
         {
@@ -250,7 +182,7 @@ def _reward(value: float | None) -> str:
     return fmt.fixed(value, 2)
 
 
-def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
+def diagnosis_words(report: Mapping) -> Table:
     """The diagnosis in a few words: verdict, headline, message, error before and after."""
     error = report["error"]
     mended = bool(report["effects"])
@@ -270,7 +202,7 @@ def diagnosis_words(report: Mapping[str, Any]) -> dict[str, Any]:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
-    observed = diagnosis_words(tour.diagnosis.report)
+    observed = diagnosis_words(tour.diagnosis)
     if observed["after"] is None:
         error = observed["before"]
     else:

@@ -67,7 +67,7 @@ def write_diagnosis(out: Path, report: dict, evidence: dict) -> None:
     write_bytes(out / "report.html", render(clean, evidence, out).encode())
 
 
-def render(report: dict[str, Any], evidence: Mapping[str, Any], out: Path | None = None) -> str:
+def render(report: dict[str, Any], evidence: Mapping, out: Path | None = None) -> str:
     """The page as text, from a checked report. `out` is looked at for the files to link."""
     mended = bool(report["effects"])
     error = report["error"] if mended else _declared_only(report["error"])

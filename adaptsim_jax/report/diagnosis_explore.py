@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.report import diagnosis_figures as figures
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report.diagnosis_figures import thin
@@ -72,9 +73,7 @@ def _kind(channels: Sequence[str]) -> str:
     return "joint"
 
 
-def _residual(
-    trial: Mapping, channel: str, columns: SharedColumns, time: str, most: int
-) -> dict[str, Any]:
+def _residual(trial: Mapping, channel: str, columns: SharedColumns, time: str, most: int) -> Table:
     stages = [stage for stage in ("before", "after") if channel in (trial.get(stage) or {})]
     measured, *simulated = thin(
         trial["measured"][channel], *[trial[s][channel] for s in stages], most=most
@@ -90,7 +89,7 @@ def _residual(
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
     observed = columns.add(measured, step)
     hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
-    data: list[dict[str, Any]] = [_line(time, observed, "measured", 5, opacity=0.6, **hover)]
+    data: list[Table] = [_line(time, observed, "measured", 5, opacity=0.6, **hover)]
     for stage, values in zip(stages, simulated, strict=True):
         drawn = columns.add(values, step)
         data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
@@ -110,7 +109,7 @@ def _residual(
     )
 
 
-def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> dict[str, Any]:
+def _line(x: Any, y: Any, stage: str, width: float, **more: Any) -> Table:
     return line(NAMES[stage], x, y, {"color": COLOURS[stage], "width": width}, **more)
 
 

@@ -196,7 +196,7 @@ def percentile(values: np.ndarray) -> float:
 MOST_POINTS = 900  # of a figure's curve
 
 
-def torque_figures(evidence: Mapping[str, Any]) -> list[str]:
+def torque_figures(evidence: Mapping) -> list[str]:
     """Torque measured, by the file and as fitted, over time, a picture a joint."""
     return [
         draw(
@@ -208,7 +208,7 @@ def torque_figures(evidence: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def friction_figures(evidence: Mapping[str, Any]) -> list[str]:
+def friction_figures(evidence: Mapping) -> list[str]:
     """What resists against speed, points, and the model of it, a picture a joint."""
     return [
         draw(_against_speed(row), 2.2, f"torque that resists at {row['joint']} against its speed")
@@ -220,7 +220,7 @@ def _some(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(int))
 
 
-def _over_time(row: Mapping[str, Any]):
+def _over_time(row: Mapping):
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
         at = _some(len(row["time"]))
@@ -241,7 +241,7 @@ def _over_time(row: Mapping[str, Any]):
     return paint
 
 
-def _against_speed(row: Mapping[str, Any]):
+def _against_speed(row: Mapping):
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
         at = _some(len(row["speed"]))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.effects.registry import of_joints
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
@@ -22,7 +23,7 @@ FACTORS = {
 """  # noqa: E501
 
 
-def effect_rows(report: Mapping) -> list[dict[str, Any]]:
+def effect_rows(report: Mapping) -> list[Table]:
     """Each effect: `title`, `fitted_as` in a class, `physics` where given, parameters with
     intervals. Not those that a finer shape would have and that stayed at zero.
     """
@@ -47,7 +48,7 @@ def effect_rows(report: Mapping) -> list[dict[str, Any]]:
     return rows
 
 
-def _parameter_row(effect: Mapping, name: str, p: Mapping) -> dict[str, Any]:
+def _parameter_row(effect: Mapping, name: str, p: Mapping) -> Table:
     if p["value"] == p["low"] == p["high"]:
         value = fmt.quantity(p["value"], p["unit"])
         return {"name": _held(name, p), "value": value, "interval": False}
@@ -60,7 +61,7 @@ def _parameter_row(effect: Mapping, name: str, p: Mapping) -> dict[str, Any]:
     }
 
 
-def _held(name: str, p: Mapping[str, Any]) -> str:
+def _held(name: str, p: Mapping) -> str:
     """A parameter that was chosen, not fitted."""
     meaning = p.get("meaning")
     return name.replace("_", " ") + (f" ({meaning})" if meaning else "")
@@ -82,7 +83,7 @@ def _shown(p: Mapping, factor: bool) -> tuple[float | None, float | None, float 
     return value, low, high
 
 
-def declared_rows(report: Mapping) -> list[dict[str, Any]]:
+def declared_rows(report: Mapping) -> list[Table]:
     """Declared parameters: text before and after (no number where the data fix none), the model
     file's value, and where to draw.
     """
@@ -115,7 +116,7 @@ def _declared_text(row: Mapping | None) -> str:
     return fmt.between(row["value"], row["low"], row["high"], row["unit"])
 
 
-def _marks(stages: Mapping[str, Mapping | None]) -> list[dict[str, Any]]:
+def _marks(stages: Mapping[str, Mapping | None]) -> list[Table]:
     """Per stage the interval and the value in percent of a common range."""
     shown = {
         stage: row
@@ -170,7 +171,7 @@ NAMES = {
 }
 
 
-def why_judge(report: Mapping[str, Any]) -> str:
+def why_judge(report: Mapping) -> str:
     """Which yardstick judged, and why."""
     reported = report.get("yardsticks") or {}
     judge: str = reported.get("judge") or ""
@@ -179,5 +180,5 @@ def why_judge(report: Mapping[str, Any]) -> str:
     return ""
 
 
-def _span(reported: Mapping[str, Any], judge: Any) -> float:
+def _span(reported: Mapping, judge: Any) -> float:
     return float(((reported.get("declared") or {}).get(judge) or {}).get("span_s") or 0.0)

@@ -37,6 +37,7 @@ from typing import Any
 import jinja2
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.report import diagnosis_format as fmt
 from adaptsim_jax.report import diagnosis_words as words
 
@@ -71,7 +72,7 @@ class Plot:
 class View:
     """What one choice shows: a figure for each plot, and a line of text under the selectors."""
 
-    figures: Sequence[Mapping[str, Any]]
+    figures: Sequence[Mapping]
     note: str = ""
 
 
@@ -111,30 +112,30 @@ def explorer(
 # ---------------------------------------------------------------- figures as Plotly has them
 
 
-def line(name: str, x: Any, y: Any, style: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+def line(name: str, x: Any, y: Any, style: Mapping, **more: Any) -> Table:
     """A trace of lines; `more` is Plotly's."""
     return {"type": "scatter", "mode": "lines", "name": name, "x": x, "y": y, "line": style} | more
 
 
-def dots(name: str, x: Any, y: Any, marker: Mapping[str, Any], **more: Any) -> dict[str, Any]:
+def dots(name: str, x: Any, y: Any, marker: Mapping, **more: Any) -> Table:
     """A trace of markers that stands in no legend; `more` is Plotly's."""
     trace = {"type": "scatter", "mode": "markers", "name": name, "x": x, "y": y, "marker": marker}
     return trace | {"showlegend": False} | more
 
 
-def band(name: str, x: Any, low: Any, high: Any, fill: str) -> list[dict[str, Any]]:
+def band(name: str, x: Any, low: Any, high: Any, fill: str) -> list[Table]:
     """Traces that shade what lies between `low` and `high`, shown and hidden with `name`."""
     hidden = {"legendgroup": name, "hoverinfo": "skip", "showlegend": False}
     edge = line(name, x, low, {"width": 0}, **hidden)
     return [edge, edge | {"y": high, "fill": "tonexty", "fillcolor": fill}]
 
 
-def axis(text: str, **more: Any) -> dict[str, Any]:
+def axis(text: str, **more: Any) -> Table:
     """An axis with a title; `more` is Plotly's."""
     return {"title": {"text": text}} | more
 
 
-def figure(data: Any, x: Any, y: Any, title: str = "", **layout: Any) -> dict[str, Any]:
+def figure(data: Any, x: Any, y: Any, title: str = "", **layout: Any) -> Table:
     """A figure of traces with its two axes."""
     return {
         "data": data,

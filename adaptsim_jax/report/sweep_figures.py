@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.report.explore import (
     Plot,
@@ -35,7 +36,7 @@ MOST_ROUNDS = 400
 SYMBOLS = ("circle", "square", "triangle-up", "diamond", "triangle-down", "pentagon", "star")
 
 
-def earned(row: Mapping[str, Any], name: str) -> float | None:
+def earned(row: Mapping, name: str) -> float | None:
     """What a finished member earned in training or in a target; None where it has no reward
     there.
     """
@@ -44,7 +45,7 @@ def earned(row: Mapping[str, Any], name: str) -> float | None:
     return row["targets"][name]["reward"]
 
 
-def interval(values: list[float]) -> dict[str, Any]:
+def interval(values: list[float]) -> Table:
     """mean, half (of the 95 % interval of the mean) and count of `values`."""
     from scipy.stats import t
 
@@ -57,9 +58,9 @@ def interval(values: list[float]) -> dict[str, Any]:
     return {"mean": mean, "half": half, "count": count}
 
 
-def groups(found: Mapping[str, Any]) -> dict[str, list[Mapping[str, Any]]]:
+def groups(found: Mapping) -> dict[str, list[Mapping]]:
     """Finished members by their combination of values, in words."""
-    rows: dict[str, list[Mapping[str, Any]]] = {}
+    rows: dict[str, list[Mapping]] = {}
     last = [
         key.rsplit(".", 1)[-1] for key in found["swept"]
     ]  # a legend has no room for the tables that a key is in
@@ -84,11 +85,11 @@ class SweptRewards(NamedTuple):
     values: list[Any]
     numbers: bool
     log: bool
-    lines: dict[str, list[Mapping[str, Any]]]
+    lines: dict[str, list[Mapping]]
     note: str
 
 
-def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
+def swept_rewards(found: Mapping, key: str) -> SweptRewards:
     """Of one swept key."""
     rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
@@ -97,7 +98,7 @@ def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
         values = sorted(values)
     log = numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
     order = [repr(v) for v in values]
-    lines: dict[str, list[Mapping[str, Any]]] = {}
+    lines: dict[str, list[Mapping]] = {}
     for row in sorted(rows, key=lambda r: order.index(repr(r["value"]))):
         lines.setdefault(row["reward"], []).append(row)
     lines = {name: lines[name] for name in look.distinct(rows, "reward")}
@@ -105,7 +106,7 @@ def swept_rewards(found: Mapping[str, Any], key: str) -> SweptRewards:
     return SweptRewards(values, numeric, log, lines, f"95 % intervals over {fewest} {over}")
 
 
-def over_values(found: Mapping[str, Any]) -> str:
+def over_values(found: Mapping) -> str:
     """Mean rewards over the values of each swept key with 95 % intervals, a line a reward. Empty
     where nothing was swept.
     """
@@ -119,7 +120,7 @@ def over_values(found: Mapping[str, Any]) -> str:
     return ""
 
 
-def _over(swept: SweptRewards, key: str) -> dict[str, Any]:
+def _over(swept: SweptRewards, key: str) -> Table:
     data = []
     for i, (name, rows) in enumerate(swept.lines.items()):
         colour, dash = COLOURS[(i - 1) % len(COLOURS)], "solid"
@@ -146,7 +147,7 @@ def _over(swept: SweptRewards, key: str) -> dict[str, Any]:
     return figure(data, across, axis("reward"), hovermode="x unified")
 
 
-def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
+def curves(members: Mapping[str, Sequence[Mapping]]) -> str:
     """Rewards of Phase 1 over rounds: medians of the best combinations together, then each
     combination's seeds.
     """
@@ -180,7 +181,7 @@ def curves(members: Mapping[str, Sequence[Mapping[str, Any]]]) -> str:
     )
 
 
-def _matrix(rows: Sequence[Mapping[str, Any]]) -> np.ndarray:
+def _matrix(rows: Sequence[Mapping]) -> np.ndarray:
     """Curves `[members, rounds]`, to the shortest."""
     some = [row["curve"] for row in rows if row.get("curve")]
     length = min(map(len, some), default=0)
@@ -192,7 +193,7 @@ def _taken(length: int) -> np.ndarray:
     return np.unique(np.linspace(0, length - 1, min(length, MOST_ROUNDS)).round().astype(int))
 
 
-def _over_rounds(data: list[dict[str, Any]], title: str, rounds: int) -> dict[str, Any]:
+def _over_rounds(data: list[Table], title: str, rounds: int) -> Table:
     whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
     rewards = axis("reward of the last step")
     return figure(data, axis("round", **whole), rewards, title, hovermode="closest")
@@ -200,8 +201,8 @@ def _over_rounds(data: list[dict[str, Any]], title: str, rounds: int) -> dict[st
 
 def _medians(
     found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: SharedColumns
-) -> dict[str, Any]:
-    data: list[dict[str, Any]] = []
+) -> Table:
+    data: list[Table] = []
     for i, (name, curve) in enumerate(found.items()):
         low, middle, high = np.nanpercentile(curve[:, _taken(curve.shape[1])], [25, 50, 75], axis=0)
         colour, x, title = COLOURS[i % len(COLOURS)], rounds[curve.shape[1]], shown(name)
@@ -217,7 +218,7 @@ def _medians(
 
 def _seeds(
     rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: SharedColumns
-) -> dict[str, Any]:
+) -> Table:
     some = [row for row in rows if row.get("curve")]
     data, x = [], rounds[curve.shape[1]]
     for i, row in enumerate(some[:30]):

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.report import explore, sweep_figures
 from adaptsim_jax.report import figures as look
@@ -19,7 +20,7 @@ MOST_MEMBERS = 1000
 """Rows of the table of members; results.csv has them all."""
 
 
-def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
+def write_sweep_page(found: Mapping, out: Path) -> Path:
     """Write the page of `results.json` into the sweep's folder, whole or not at all. Raises
     BadInput where it cannot.
     """
@@ -27,7 +28,7 @@ def write_sweep_page(found: Mapping[str, Any], out: Path) -> Path:
     return out / "report.html"
 
 
-def render(found: Mapping[str, Any]) -> str:
+def render(found: Mapping) -> str:
     """The page as text, of a sweep that is finished or still runs."""
     rewards = [TRAINING, *found["spec"]["targets"]]
     groups = sweep_figures.groups(found)
@@ -52,7 +53,7 @@ def render(found: Mapping[str, Any]) -> str:
     )
 
 
-def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[dict[str, Any]]:
+def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[Table]:
     """Of each reward the mean over the members of one combination, with the half width of its 95 %
     interval.
     """

@@ -12,7 +12,11 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from adaptsim_jax.space import Gaussian, Parameter, Space
+import jax
+import numpy as np
+
+from adaptsim_jax.core.config import Table
+from adaptsim_jax.space import Parameter, Space
 
 if TYPE_CHECKING:
     from adaptsim_jax.report.film import Scene
@@ -49,7 +53,7 @@ class Preparation(NamedTuple):
     """
 
     blank: Callable[[Array], Any]
-    make: Callable[..., Any]
+    make: Callable
     ready: Callable[[Any], Task]
     digest: Callable[[], str]
 
@@ -69,29 +73,23 @@ class Task:
     settings: Mapping[
         str, Mapping[str, float]
     ]  # named targets: wd, ood-1 .. ood-4 (paper, table A2)
-    init_policy: Callable[[Array], Policy]  # (key) -> policy
-    train: Callable[[Array, Gaussian, Policy], Policy]  # (key, dist, policy) -> policy
-    rollout: Callable[[Array, Policy, Array], Trajectory]  # (key, policy, params [D]) -> trajectory
-    observe: Callable[[Trajectory], Array]  # trajectory -> [obs_dim]
-    score: Callable[
-        [Trajectory], Array
-    ]  # -> [], the raw return; higher is better; all that a real target can tell
-    reference: Callable[
-        [Array], Reference
-    ]  # (params [D]) -> what rewards in this simulated target are scaled with
-    reward: Callable[
-        [Trajectory, Reference], Array
-    ]  # -> [], at most 1; in [0, 1] where the policy is of any use
+    init_policy: Callable  # (key) -> policy
+    train: Callable  # (key, dist, policy) -> policy
+    rollout: Callable  # (key, policy, params [D]) -> trajectory
+    observe: Callable  # (trajectory) -> [obs_dim]
+    score: Callable  # (trajectory) -> [], the raw return; higher is better; all a real target tells
+    reference: Callable  # (params [D]) -> what rewards in this simulated target are scaled with
+    reward: Callable  # (trajectory, reference) -> [], at most 1; above 0 where a policy is of use
     # (keys [P], dists [P], policies [P], trials [P]) -> policies [P]: `train` for several at once,
     # each with a budget of its own. None where training is too cheap to be worth sharing; see
     # `adaptation.reuse`.
-    train_many: Callable[[Array, Gaussian, Policy, Array], Policy] | None = None
+    train_many: Callable | None = None
     # (key, policy, params [D]) -> trajectory, as `rollout` but cheaper and good enough for Phase 1
     # to learn from; None: `rollout`.
-    rehearse: Callable[[Array, Policy, Array], Trajectory] | None = None
+    rehearse: Callable | None = None
     # (key) -> a policy for all of Omega that `train` goes on from better than from `init_policy`;
     # None where there is none
-    pretrain: Callable[[Array], Policy] | None = None
+    pretrain: Callable | None = None
     # variance of a visit's return by luck, over that by E's mean: above 0 what is deployed is
     # chosen by smoothed returns
     doubt: float = 0.0
@@ -104,13 +102,13 @@ class Task:
     # has more than parameters of Omega; None: `params` say it all
     world: Callable[[str | Path], Task] | None = None
     # (policy, obs [O]) -> action [A]: of tasks whose policies are called at each step
-    act: Callable[[Policy, Array], Array] | None = None
+    act: Callable | None = None
     # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs
-    read: Callable[[Any, Any, Any], Trajectory] | None = None
+    read: Callable | None = None
 
 
 @cache
-def tables() -> dict[str, Any]:
+def tables() -> Table:
     """`settings.toml`: of each task its named targets, and boxes of parameters."""
     return tomllib.loads(Path(__file__).with_name("settings.toml").read_text())
 
@@ -148,22 +146,16 @@ class AdaptView(NamedTuple):
 
     def of_start(self, leaf: Any) -> Any:
         """`leaf [N, I + 1, ...]` of the history, at the start."""
-        import numpy as np
-
         return np.asarray(leaf)[self.start]
 
     @property
     def policies(self) -> Any:
         """Of the start's visits `[I + 1]`."""
-        import jax
-
         return jax.tree.map(lambda x: x[self.start], self.result.history.policy)
 
     @property
     def params(self) -> Any:
         """Parameters `[I + 1, D]` that the start's visits were trained at, physical."""
-        import numpy as np
-
         return np.asarray(self.task.space.physical(self.result.history.mean[self.start]))
 
     def picked(self, count: int) -> tuple[list[int], list[str]]:
@@ -173,8 +165,6 @@ class AdaptView(NamedTuple):
 
     def trials_reported(self) -> int | None:
         """How many trials the deployed policy is corrected by; None where it is not."""
-        import numpy as np
-
         reported = getattr(self.result.policy, "told", None)
         if reported is None:
             return None
@@ -185,8 +175,6 @@ def picked(count: int, best: int) -> list[int]:
     """The first, the last and evenly between them; the best takes the place of the one nearest to
     it.
     """
-    import numpy as np
-
     shown = sorted({round(i) for i in np.linspace(0, count - 1, min(COLUMNS, count))})
     if best not in shown:
         last = len(shown) - 1
@@ -231,38 +219,54 @@ class SessionTrials(NamedTuple):
     """
 
     head: str
-    rows: Callable[[dict[str, Any]], list[tuple]]
+    rows: Callable[[Table], list[tuple]]
     options: tuple[str, ...]
-    assemble: Callable[..., Any]
+    assemble: Callable
 
 
-@dataclass(frozen=True)
 class RobotFace:
-    """Of `robot`. turn: What one ask and tell is called. `history`: of the turns recorded so far,
-    as `remember` made them.
+    """What `robot` says and reads of a task. `history`: of the turns recorded so far, as `remember`
+    made them; `tried`: the state with the policy as the coming turn makes its trials.
 
-    deployed: The policy as it is deployed now, mended by what was recorded. tried: As the coming
-    turn makes its trials with it. Both are the policy itself by default. again: A turn that the
-    robot could not finish is asked again. Else its start is given up, since the policy asked of it
-    would fail again. recorded: How trials are read again for `diagnose`; None where sessions are not
-    diagnosed.
-    """  # noqa: E501
+    turn: What one ask and tell is called. again: A turn that the robot could not finish is asked
+    again. Else its start is given up, since the policy asked of it would fail again. recorded: How
+    trials are read again for `diagnose`; None where sessions are not diagnosed.
+    """
 
-    turn: str
-    opened: Callable[[Any, int], str]  # (session, turns) -> what a new session consists of
-    # (session, policy as deployed) -> what policy.toml holds of it
-    policy_file: Callable[[Any, Any], dict[str, Any]]
-    # (session, state as tried, policy as deployed, history, done)
-    show: Callable[[Any, Any, Any, list, bool], None]
-    read: Callable[[Any, Any, Any], Any]  # (session, state as tried, path) -> trajectory
-    # (session, state as tried, trajectory) -> entry of the history beside the score
-    remember: Callable[[Any, Any, Any], dict[str, Any]] = lambda session, tried, trajectory: {}
-    # (session, state as tried, state after, trajectory, done): what is said beside the return
-    comment: Callable[[Any, Any, Any, Any, bool], None] = lambda *turn: None
-    deployed: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
-    tried: Callable[[Any, Any, list], Any] = lambda session, policy, history: policy
-    again: bool = True
-    recorded: Callable[[], SessionTrials] | None = None
+    turn = "trial"
+    again = True
+    recorded: SessionTrials | None = None
+
+    def opened(self, session: Any, total: int) -> str:
+        """What a new session of so many turns consists of."""
+        return f"session of {total} {self.turn}s"
+
+    def policy_file(self, session: Any, policy: Any) -> Table:
+        """What policy.toml holds of a policy as it is deployed, beside the parameters."""
+        raise NotImplementedError
+
+    def show(self, session: Any, tried: Any, policy: Any, history: list, done: bool) -> None:
+        """Say what to do now, or when all is done what the best policy does."""
+        raise NotImplementedError
+
+    def read(self, session: Any, tried: Any, path: Any) -> Any:
+        """The trajectory that was measured."""
+        raise NotImplementedError
+
+    def remember(self, session: Any, tried: Any, trajectory: Any) -> Table:
+        """The entry of the history beside the score."""
+        return {}
+
+    def comment(self, session: Any, tried: Any, after: Any, trajectory: Any, done: bool) -> None:
+        """What is said beside the return."""
+
+    def deployed(self, session: Any, policy: Any, history: list) -> Any:
+        """The policy as it is deployed now, mended by what was recorded."""
+        return policy
+
+    def tried(self, session: Any, policy: Any, history: list) -> Any:
+        """The policy as the coming turn makes its trials with it."""
+        return policy
 
 
 @dataclass(frozen=True)
@@ -286,8 +290,8 @@ class TaskKind:
     make: Callable[[Any], Task]
     one_shot: Callable[[Any], Any] | None = None
     train: Mapping[str, Any] = field(default_factory=dict)
-    augmented: Callable[[dict[str, Any], str], Task] | None = None
-    of_model: Callable[[dict[str, Any], str], dict[str, Any]] | None = None
+    augmented: Callable[[Table, str], Task] | None = None
+    of_model: Callable[[Table, str], Table] | None = None
     adapt: AdaptFace | None = None
     robot: RobotFace | None = None
     symbols: Mapping[str, str] = field(default_factory=dict)

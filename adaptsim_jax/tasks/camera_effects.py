@@ -2,91 +2,65 @@
 itself. And how the catalogue of a task's trials is written.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+import itertools
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Effect, Quantity, of_the_engine
+from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
+from adaptsim_jax.effects.base import Effect, Quantity
 
 Array = Any
 
 
-def quantity(
-    name: str,
-    unit: str,
-    low: float,
-    high: float,
-    scale: float,
-    default: float = 0.0,
-    mjcf: str = "",
-) -> Quantity:
-    """A quantity of an effect, with a prior as wide as twice its farther bound."""
-    prior = 2.0 * max(abs(low), abs(high))
-    return Quantity(name, unit, low, high, default, prior=prior, mjcf=mjcf, scale=scale)
-
-
-def effect_of(quantities: Sequence[Quantity]) -> Callable[..., Effect]:
-    """What makes effects of a table of quantities: `(name, place, names of its quantities, physics,
-    excitation, ...)`.
+def read_table(path: Path) -> tuple[tuple[Quantity, ...], dict[str, Table]]:
+    """The quantities of a catalogue's file, and its table of effects. A prior is as wide as twice
+    the farther bound where the file does not say it.
     """
-    known = {q.name: q for q in quantities}
+    table = config.read(path)
+    quantities = []
+    for name, row in table["quantities"].items():
+        prior = 2.0 * max(abs(row["low"]), abs(row["high"]))
+        quantities.append(Quantity(**{"name": name, "prior": prior} | row))
+    return tuple(quantities), table["effects"]
 
-    def make(name, place, names, *words, **more) -> Effect:
-        return Effect(name, place, tuple(known[n] for n in names), of_the_engine, *words, **more)
 
-    return make
+def effects_of(table: dict[str, Table], quantities: Iterable[Quantity]) -> tuple[Effect, ...]:
+    """The effects of a catalogue's file, of these `quantities`. A grid is all combinations of the
+    values that it names.
+    """
+    known, effects = {q.name: q for q in quantities}, []
+    for name, row in table.items():
+        texts: Table = {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
+        own = tuple(known[n] for n in texts.pop("parameters"))
+        grid = texts.pop("grid", None)
+        if grid is not None:
+            grid = tuple(
+                dict(zip(grid, values, strict=True)) for values in itertools.product(*grid.values())
+            )
+        effects.append(Effect(name, parameters=own, grid=grid, **texts))
+    return tuple(effects)
 
 
-QUANTITIES = (
-    quantity("shift_x", "m", -0.1, 0.1, 0.002),
-    quantity("shift_y", "m", -0.1, 0.1, 0.002),
-    quantity("scale", "", -0.2, 0.2, 0.01),
-    quantity("turn", "rad", -0.25, 0.25, 0.01),
-    quantity("latency", "s", -0.1, 0.2, 0.005),
-    quantity("clock", "", -0.2, 0.2, 0.01),
-    quantity("near", "1/m", 0.0, 2.0, 0.05),
-    quantity("lean_x", "", -1.0, 1.0, 0.02),
-    quantity("lean_y", "", -1.0, 1.0, 0.02),
-)
-"""`near`: one over a camera's height; `lean_x`, `lean_y`: the point under it over its height. All
-0: a far camera that looks down.
-"""
+QUANTITIES, _EFFECTS = read_table(Path(__file__).with_suffix(".toml"))
 
 
 def effects(trial: str, origin: str, rises: bool) -> tuple[Effect, ...]:
-    """The effects on tracks of a `trial`, in a frame about `origin`. rises: Whether heights vary.
-
-    A late start of the arm shifts all of a track in time, as a latency does: no trial tells them
-    apart, only the arm's own log.
+    """The effects on tracks of a `trial`, in a frame about `origin`. rises: Whether heights vary,
+    which tells a parallax from lengths that are off.
     """
-    observed, effect = f"any {trial}", effect_of(QUANTITIES)
-
-    def make(name, names, physics, **more):
-        return effect(name, "measurement", names, physics, observed, **more)
-
-    return (
-        make("camera_shift", ("shift_x", "shift_y"), "the camera's frame lies beside the arm's"),
-        make(
-            "camera_scale", ("scale",), f"lengths are measured too long or too short, from {origin}"
-        ),
-        make("camera_turn", ("turn",), f"the camera is turned about {origin}"),
-        make(
-            "latency",
-            ("latency",),
-            "tracks are told later than they happen",
-            same=("late_start@command",),
-            separated_by="a log of the arm by the camera's clock",
-        ),
-        make("clock_scale", ("clock",), "the camera's clock runs fast or slow"),
-        make(
-            "parallax",
-            ("near", "lean_x", "lean_y"),
-            "what is above the table is seen farther from the point under the camera",
-            same=() if rises else ("camera_scale_with_shift@measurement",),
-            separated_by="the camera's height and place",
-        ),
-    )
+    made = []
+    for effect in effects_of(_EFFECTS, QUANTITIES):
+        physics, seen = (
+            text.format(trial=trial, origin=origin) for text in (effect.physics, effect.excitation)
+        )
+        same = () if rises and effect.name == "parallax" else effect.same
+        made.append(replace(effect, physics=physics, excitation=seen, same=same))
+    return tuple(made)
 
 
 def happened(v: Mapping[str, Array], time: Array) -> Array:

@@ -12,6 +12,11 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.table import LogTable
 from adaptsim_jax.logs.table_checks import lost_digits
 
+RowName = Callable[[int], str]
+"""How messages call row k."""
+Columns = Mapping[str, np.ndarray]
+"""Of a table, by name, `[T]` each."""
+
 
 class CameraTracks(NamedTuple):
     """Of one trial: rows `[R]` of the table, time `[R]` s, track `[R, 2]` m, and how its row k is
@@ -21,10 +26,10 @@ class CameraTracks(NamedTuple):
     rows: np.ndarray
     time: np.ndarray
     track: np.ndarray
-    row_name: Callable[[int], str]
+    row_name: RowName
 
 
-def row_namer(path: object, table: LogTable) -> Callable[[int], str]:
+def row_namer(path: object, table: LogTable) -> RowName:
     """How messages call row `i` of a table that was read from `path`."""
     return lambda i: f"{path}: {table.row_word} {table.lines[i]}"
 
@@ -39,8 +44,8 @@ def check_columns(
 
 
 def trials_of(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     where: str,
     asked: np.ndarray,
     most: float,
@@ -74,7 +79,7 @@ def trials_of(
     return observed
 
 
-def check_numbers(numbers: np.ndarray, at: Callable[[int], str], asked: np.ndarray) -> None:
+def check_numbers(numbers: np.ndarray, at: RowName, asked: np.ndarray) -> None:
     """BadInput at the first row of `numbers [T]` that is none of the trials `asked [N]`."""
     for i in np.flatnonzero(~np.isin(numbers, asked))[:1]:
         now, number = " and ".join(map(str, asked)), numbers[i]
@@ -102,8 +107,8 @@ def unit_like(size: float, usual: float) -> str:
 
 
 def check_unit(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     distant: float,
     what: str,
     usual: float = 0.0,
@@ -141,7 +146,7 @@ def check_different(tracks: Mapping[float, np.ndarray], where: str) -> None:
                 )
 
 
-def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
+def check_increasing(time: np.ndarray, trials: RowName) -> None:
     """BadInput at the first row of one trial's `time [T]` s that is not after the one before."""
     for k in np.flatnonzero(np.diff(time) <= 0)[:1] + 1:
         if lost := lost_digits(time):
@@ -153,9 +158,7 @@ def check_increasing(time: np.ndarray, trials: Callable[[int], str]) -> None:
         )
 
 
-def check_gaps(
-    time: np.ndarray, most: float, until: float, trials: Callable[[int], str], again: str
-) -> None:
+def check_gaps(time: np.ndarray, most: float, until: float, trials: RowName, again: str) -> None:
     """BadInput at the first gap of `time [T]` s longer than `most` that begins before `until`;
     again: The mend.
     """
@@ -169,7 +172,7 @@ def check_gaps(
 def check_leaps(
     time: np.ndarray,
     track: np.ndarray,
-    trials: Callable[[int], str],
+    trials: RowName,
     body: str,
     fastest: float,
     slip: float = 0.0,
@@ -194,23 +197,18 @@ class TrackCriteria:
         fastest_turn: rad/s that no body turns at: those that slide turn at 9 rad/s.
         turn_slip: rad that yaw may jump beside: markers that are seen upside down jump by pi.
         hole: s without a row from which on the gap is reported.
-        stood: m that a body must have gone within a hole, by its speeds before and after, for its
-            standing still to show that the clock was set.
     """
 
     whole_turns: float = 30.0
     fastest_turn: float = 40.0
     turn_slip: float = 0.5
     hole: float = 0.1
-    stood: float = 0.03
 
 
 TRACK = TrackCriteria()
 
 
-def unwrapped(
-    time: np.ndarray, yaw: np.ndarray, trials: Callable[[int], str], body: str
-) -> np.ndarray:
+def unwrapped(time: np.ndarray, yaw: np.ndarray, trials: RowName, body: str) -> np.ndarray:
     """One trial's `yaw [T]` rad at `time [T]` s without jumps by whole turns; NaN where it was not
     seen. BadInput at the first row in another unit, or that jumps otherwise.
     """
@@ -238,24 +236,3 @@ def holes(time: np.ndarray) -> list[str]:
         f"nothing was recorded from {time[k]:.4g} to {time[k + 1]:.4g} s"
         for k in np.flatnonzero(np.diff(time) > TRACK.hole)
     ]
-
-
-def check_clock_set(
-    time: np.ndarray, places: np.ndarray, trials: Callable[[int], str], body: str
-) -> None:
-    """BadInput where a body moves before and after a hole and stood still in it: the clock was set.
-    `time [T]` s, `places [T, C]` m.
-    """
-    for k in np.flatnonzero(np.diff(time) > TRACK.hole) + 1:
-        sides = [slice(max(k - 4, 0), k), slice(k, k + 4)]
-        if min(len(time[s]) for s in sides) < 3:
-            continue
-        speeds = [np.linalg.norm(places[s][-1] - places[s][0]) / np.ptp(time[s]) for s in sides]
-        gap = time[k] - time[k - 1]
-        went = float(np.linalg.norm(places[k] - places[k - 1]))
-        if gap * min(speeds) > TRACK.stood and went < 0.3 * gap * min(speeds):
-            raise BadInput(
-                f"{trials(int(k))}: {body} moves by {min(speeds):.2g} m/s before and after a hole "
-                f"of {gap:.3g} s, and by {went:.2g} m in it: was the clock set? mend the times "
-                "after it, or cut the trial there"
-            )

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple, TypeVar
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.progress import Report
 from adaptsim_jax.core.registry import Registry
@@ -89,7 +90,7 @@ class Engines(Registry[EngineKind]):
         return Backend(name, kind.make(checked, *own_settings(name, kind.settings, settings)))
 
 
-def own_settings(engine: str, kind: type[S], settings: dict[str, Any]) -> S:
+def own_settings(engine: str, kind: type[S], settings: Table) -> S:
     """An engine's own `settings` as its record `kind`, whose defaults stand for what is left out;
     tables become records.
 
@@ -198,8 +199,8 @@ class Parity(NamedTuple):
     those as `lines` for a person.
     """
 
-    measured: Callable[[int, int, Report], dict[str, Any]]
-    lines: Callable[[dict[str, Any]], list[str]]
+    measured: Callable[[int, int, Report], Table]
+    lines: Callable[[Table], list[str]]
 
 
 class EngineRun(NamedTuple):
@@ -217,10 +218,10 @@ class EngineRun(NamedTuple):
 def engines_and_pairs(
     names: Sequence[str],
     run: Callable[[str], EngineRun],
-    row: Callable[[EngineRun], dict[str, Any]],
-    pair: Callable[[EngineRun, EngineRun], dict[str, Any]],
+    row: Callable[[EngineRun], Table],
+    pair: Callable[[EngineRun, EngineRun], Table],
     progress: Report,
-) -> dict[str, Any]:
+) -> Table:
     """`{cores, engines, pairs}`: a row for each engine, or why it did not run, and one for each
     pair of those that did.
     """
@@ -261,7 +262,7 @@ def _timed(simulate: Callable, batch: tuple) -> tuple[Any, float, float]:
     return out, time.perf_counter() - begin, time.process_time() - cpu
 
 
-def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> dict[str, Any]:
+def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> Table:
     """Speed of one engine in `what` (pushes, trials) a second, and how many of its trials went
     wrong in which way.
     """
@@ -275,7 +276,7 @@ def speed_row(run: EngineRun, what: str, messages: Mapping[int, str]) -> dict[st
 
 
 def pair_lines(
-    found: dict[str, Any], wide: int, head: str, noun: str, numbers: Callable[[dict[str, Any]], str]
+    found: Table, wide: int, head: str, noun: str, numbers: Callable[[Table], str]
 ) -> list[str]:
     """The table of pairs of engines, their names `wide`. noun: What went well in neither where
     nothing was compared.
@@ -289,7 +290,7 @@ def pair_lines(
     return lines
 
 
-def engine_lines(found: dict[str, Any], numbers: Callable[[dict[str, Any]], str]) -> list[str]:
+def engine_lines(found: Table, numbers: Callable[[Table], str]) -> list[str]:
     """A line an engine: its numbers and what went wrong in it, or why it did not run."""
     lines = []
     for row in found["engines"]:

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf import NAF
 from adaptsim_jax.learners.naf_goals import GoalConfig, GoalLearner, Trials
@@ -35,7 +36,7 @@ class TargetWorld(NamedTuple):
     """
 
     name: str
-    run: Callable[[Array, Array, Array], tuple[Outcome, np.ndarray]]
+    run: Callable
     messages: dict[int, str]
 
 
@@ -54,47 +55,39 @@ class OneShot:
     tests: np.ndarray
     trials: int
     action_dim: int
-    draw: Callable[[Array], Array]  # (key) -> context [g]
-    act: Callable[[Any, Array], Array]  # (policy, contexts [N, g]) -> [N, d] in [-1, 1]
-    explore: Callable[
-        [Array, Any, Array], Array
-    ]  # (key, policy, contexts [N, g]) -> [N, d], with the learner's noise
-    reward: Callable[
-        [Outcome, Array], Array
-    ]  # (outcome, context [g]) -> [] in [0, 1]; 0 for what is not finite
-    trajectory: Callable[
-        [Array, Outcome], Any
-    ]  # (contexts [N, g], outcomes [N, ...]) -> the task's trajectory
-    train_uniform: Callable[[Array], Any]  # (key) -> one policy for all of Omega (UDR)
+    draw: Callable  # (key) -> context [g]
+    act: Callable  # (policy, contexts [N, g]) -> [N, d] in [-1, 1]
+    explore: Callable  # (key, policy, contexts [N, g]) -> [N, d], with the learner's noise
+    reward: Callable  # (outcome, context [g]) -> [] in [0, 1]; 0 for what is not finite
+    trajectory: Callable  # (contexts [N, g], outcomes [N, ...]) -> the task's trajectory
+    train_uniform: Callable  # (key) -> one policy for all of Omega (UDR)
     # (key, policy, contexts [N, g], actions [N, d], outcomes [N, ...], used []) -> policy, from the
     # first `used` trials
-    tune: Callable[[Array, Any, Array, Array, Outcome, Array], Any]
-    outputs: Callable[[Outcome], Array]  # outcome -> [k]: what of it is predicted
-    worth: Callable[[Array, Array], Array]  # (predicted [k], context) -> []: the reward of it
-    world: Callable[..., TargetWorld]  # (backend) -> World; BadInput for one that is not there
-    oracle: Callable[
-        [TargetWorld, np.ndarray], np.ndarray
-    ]  # (world, params [D]) -> [G] rewards of the best actions
+    tune: Callable
+    outputs: Callable  # outcome -> [k]: what of it is predicted
+    worth: Callable  # (predicted [k], context) -> []: the reward of it
+    world: Callable  # (backend) -> World; BadInput for one that is not there
+    oracle: Callable  # (world, params [D]) -> [G] rewards of the best actions
     engine: str  # the world that is the simulator
     simulator: str  # in words, as results.json says it
     reward_unit: str
     oracle_means: str
-    aim: Callable[[Array, Any], Array] | None = (
+    aim: Callable | None = (
         None  # (key, policy) -> contexts [trials, g] of a visit; None: each drawn
     )
     # (trajectory, policy) -> trajectory with what else is observed that the policy tells, such as
     # what E expects; None: nothing
-    expect: Callable[[Any, Any], Any] | None = None
+    expect: Callable | None = None
     # (policy, actions [K, d] and outcomes [K, ...] of the target's trials, which of them count [K])
     # -> policy to deploy, mended by them; None: it is not
-    remember: Callable[[Any, Array, Outcome, Array], Any] | None = None
+    remember: Callable | None = None
     # (policy, mended by `remember` once there are trials) -> policy as `act` makes a visit with it,
     # part of its trials to learn more for what is deployed; None: a visit's trials are the policy's
     # own, not mended
-    probe: Callable[[Any], Any] | None = None
+    probe: Callable | None = None
     fresh: np.ndarray | None = None
     # (context, action) -> [p]: what an outcome depends on
-    inputs: Callable[[Array, Array], Array] = lambda context, action: action
+    inputs: Callable = lambda context, action: action
 
     @property
     def scored(self) -> np.ndarray:
@@ -166,7 +159,7 @@ def naf_policies(
     policy: Callable[[jax.Array], Any],
     observed: Callable[[jax.Array], jax.Array],
     trials: Callable[[Any, jax.Array, Any], Trials],
-) -> dict[str, Callable[..., Any]]:
+) -> dict[str, Callable]:
     """The fields `act`, `explore`, `train_uniform` and `tune` of `OneShot`.
 
     learner: Trained over all of Omega. budget: Trials of one policy; `policy(weights [n])`: the
@@ -231,7 +224,7 @@ def _count(naf: Any) -> int:
     return jax.eval_shape(lambda: naf.init(jax.random.key(0)).online).size
 
 
-def leaves_by_name(policy: Any) -> dict[str, Any]:
+def leaves_by_name(policy: Any) -> Table:
     """The leaves of a task policy as nested lists, by name."""
     leaves = jax.tree_util.tree_flatten_with_path(policy)[0]
     return {

@@ -5,19 +5,23 @@ and reported alike, whatever is pushed or scooped.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from adaptsim_jax.tasks.base import RobotFace, SessionTrials
+import jax.numpy as jnp
+import numpy as np
+
+from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
+from adaptsim_jax.core.files import write_bytes
+from adaptsim_jax.logs.table import LogTable, read_table
+from adaptsim_jax.tasks.base import RobotFace
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from adaptsim_jax.commands.robot_session import RobotSession
 
-History = list[dict[str, Any]]
+History = list[Table]
 
 
 class AskedTrials(NamedTuple):
@@ -34,115 +38,97 @@ class AskedTrials(NamedTuple):
 
 def asked_trials(turn: Any, contexts: Any, actions: Any) -> AskedTrials:
     """The trials of iteration `turn` (from 0), numbered after those of the iterations before."""
-    import numpy as np
-
     numbers = int(turn) * len(contexts) + np.arange(1, len(contexts) + 1)
     return AskedTrials(numbers, np.asarray(contexts), np.asarray(actions))
 
 
-def record_of_trials(
-    kind: type, bounds: tuple[tuple[float, ...], tuple[float, ...]], actions: Any, ended: Any
-) -> Any:
-    """A record of trials that all count, as policies are corrected by it: `kind(actions in [-1, 1],
-    how they ended, used)`. `actions [K, d]` lie between the two `bounds [d]`.
+def corrected_by(policy: Any, kind: type, bounds: Any, actions: Any, ended: Any) -> Any:
+    """The policy corrected by trials that all count, `kind(actions in [-1, 1], how they ended,
+    used)`, where there are any. `actions [K, d]` lie between the two `bounds [d]`.
     """
-    import jax.numpy as jnp
-    import numpy as np
-
+    if not len(actions):
+        return policy
     low, high = map(np.asarray, bounds)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
-    return kind(
-        jnp.asarray(own, jnp.float32), jnp.asarray(ended, jnp.float32), jnp.ones(len(own), bool)
-    )
+    both = (jnp.asarray(x, jnp.float32) for x in (own, ended))
+    return policy._replace(told=kind(*both, jnp.ones(len(own), bool)))
 
 
-@dataclass(frozen=True)
-class TrialSessions:
-    """What sessions of short trials leave to a task.
+class TrialSessions(RobotFace):
+    """What sessions of short trials have in common; a task says the rest in a class of its own.
 
-    Args:
-        trials: What they are called.
-        columns: Of actions.csv, after the trial.
-        how: What a person is to do, of `(config)`.
-        measured: The task's module of that name, imported when it is needed. It has
-            `trials_to_make`, `corrected`, `policy_table` and `COLUMNS`.
-        keys: What a remembered trial holds beside its number: context, action, points and result.
-        result: Which field of the trajectory `[N]` is the result.
-        ended: What of a remembered trial corrects the policy.
-        asked: `(context, action)` in words.
-        came: Of a trajectory, how each trial ended in words.
-        trajectory: `(session, state, asked, table, path) -> trajectory` of a camera's table.
-        finish: `(session, policy, history)`, called when all is reported.
-        visits: `(config) -> (policy as deployed -> policy of the coming iteration)`. None where
-            these are E's own.
-        recorded: Keys that `diagnose` reads again. head: Of their file. options: Of the task, that
-            say how trials were made. assemble: Gives what reads them.
-        advice: `(session, state after)`, called after each iteration.
+    trials: What they are called. columns: Of actions.csv, after the trial. measured: The task's
+    module of that name, with `trials_to_make`, `corrected`, `policy_table` and `COLUMNS`. keys:
+    What a remembered trial holds beside its number: context, action, points and result. result:
+    Which field of the trajectory `[N]` is the result. read_again: Keys that `diagnose` reads again.
     """
 
+    turn = "iteration"
     trials: str
     columns: tuple[str, ...]
-    how: Callable[[Any], str]
-    measured: Callable[[], ModuleType]
+    measured: ModuleType
     keys: tuple[str, ...]
     result: str
-    ended: Callable[[Mapping[str, Any]], Any]
-    asked: Callable[[Any, Any], str]
-    came: Callable[[Any], Iterable[str]]
-    trajectory: Callable[..., Any]
-    finish: Callable[[RobotSession, Any, History], None]
-    visits: Callable[[Any], Callable[[Any], Any] | None]
-    recorded: tuple[str, ...]
-    head: str
-    options: tuple[str, ...]
-    assemble: Callable[[], Callable[..., Any]]
-    advice: Callable[[RobotSession, Any], None] = lambda session, after: None
+    read_again: tuple[str, ...]
 
-    def face(self) -> RobotFace:
-        """What `adaptsim robot` calls."""
-        return RobotFace(
-            "iteration",
-            self.opened,
-            self.policy_file,
-            self.show,
-            self.read,
-            self.remember,
-            self.comment,
-            self.deployed,
-            self.tried,
-            recorded=self.session_trials,
-        )
+    def how(self, config: Any) -> str:
+        """What a person is to do."""
+        raise NotImplementedError
+
+    def asked(self, context: Any, action: Any) -> str:
+        """A trial in words."""
+        raise NotImplementedError
+
+    def came(self, trajectory: Any) -> Iterable[str]:
+        """How each trial ended, in words."""
+        raise NotImplementedError
+
+    def ended(self, trial: Mapping[str, Any]) -> Any:
+        """What of a remembered trial corrects the policy."""
+        raise NotImplementedError
+
+    def trajectory(
+        self, session: RobotSession, tried: Any, asked: AskedTrials, table: LogTable, path: Path
+    ) -> Any:
+        """The trajectory of the trials that were asked for, by a camera's table."""
+        raise NotImplementedError
+
+    def finish(self, session: RobotSession, policy: Any, history: History) -> None:
+        """What is said and written when all is reported."""
+
+    def visiting(self, config: Any) -> Callable[[Any], Any] | None:
+        """`(policy as deployed) -> policy of the coming iteration`; None where these are E's
+        own.
+        """
+
+    def advice(self, session: RobotSession, after: Any) -> None:
+        """What is said after each iteration."""
 
     def opened(self, session: RobotSession, total: int) -> str:
-        """Of what a new session consists."""
         count = config_of(session).trajectories
         return f"session of {total} iterations of {count} {self.trials}"
 
-    def policy_file(self, session: RobotSession, policy: Any) -> dict[str, Any]:
-        """What `policy.toml` holds beside the parameters; `measured.read_policy` reads it."""
-        return self.measured().policy_table(policy, config_of(session))
+    def policy_file(self, session: RobotSession, policy: Any) -> Table:
+        """`measured.read_policy` reads it."""
+        return self.measured.policy_table(policy, config_of(session))
 
     def deployed(self, session: RobotSession, policy: Any, history: History) -> Any:
-        """The policy as it would be deployed now, corrected by the trials reported so far where the
-        task does that.
-        """
+        """Corrected by the trials reported so far where the task does that."""
         made = [trial for visit in history for trial in visit[self.trials]]
         actions, ended = [t["action"] for t in made], [self.ended(t) for t in made]
-        return self.measured().corrected(policy, config_of(session), actions, ended)
+        return self.measured.corrected(policy, config_of(session), actions, ended)
 
     def tried(self, session: RobotSession, policy: Any, history: History) -> Any:
-        """The policy as the coming iteration makes its trials: E's own, or of what is deployed."""
-        visit = self.visits(config_of(session))
+        """E's own, or of what is deployed."""
+        visit = self.visiting(config_of(session))
         return visit(self.deployed(session, policy, history)) if visit else policy
 
     def make(self, session: RobotSession, state: Any) -> AskedTrials:
         """The trials that the session asks for now."""
-        return self.measured().trials_to_make(
-            state.key, state.told, state.policy, config_of(session)
-        )
+        return self.measured.trials_to_make(state.key, state.told, state.policy, config_of(session))
 
     def show(
-        self, session: RobotSession, state: Any, policy: Any, history: History, done: bool
+        self, session: RobotSession, tried: Any, policy: Any, history: History, done: bool
     ) -> None:
         """Print the trials to make and write them to actions.csv; when all is reported, what the
         best policy does.
@@ -150,8 +136,8 @@ class TrialSessions:
         if done:
             self.finish(session, policy, history)
             return
-        trials, path = self.make(session, state), session.folder / "actions.csv"
-        probing = getattr(state.policy, "probe", None) is not None
+        trials, path = self.make(session, tried), session.folder / "actions.csv"
+        probing = getattr(tried.policy, "probe", None) is not None
         for number, context, action in zip(*trials, strict=True):
             words = self.asked(context, action)
             if probing and number == trials.numbers[-1]:
@@ -161,57 +147,46 @@ class TrialSessions:
         print(f"written: {path}")
         print(self.how(config_of(session)))
 
-    def read(self, session: RobotSession, state: Any, path: Path) -> Any:
-        """The trajectory of the trials that were asked for."""
-        from adaptsim_jax.logs.table import read_table
+    def read(self, session: RobotSession, tried: Any, path: Path) -> Any:
+        table = read_table(path, self.measured.COLUMNS, min_rows=1, lost=("x", "y"))
+        return self.trajectory(session, tried, self.make(session, tried), table, path)
 
-        table = read_table(path, self.measured().COLUMNS, min_rows=1, lost=("x", "y"))
-        return self.trajectory(session, state, self.make(session, state), table, path)
-
-    def remember(self, session: RobotSession, before: Any, trajectory: Any) -> dict[str, Any]:
+    def remember(self, session: RobotSession, tried: Any, trajectory: Any) -> Table:
         """The parameters and the trials of an iteration, for figures and for people."""
         results = getattr(trajectory, self.result)
-        rows = zip(*self.make(session, before), trajectory.points, results, strict=True)
+        rows = zip(*self.make(session, tried), trajectory.points, results, strict=True)
         trials = [
             {"trial": int(number)} | dict(zip(self.keys, map(_plain, parts), strict=True))
             for number, *parts in rows
         ]
-        return {"params": physical(session, before.mean), self.trials: trials}
+        return {"params": physical(session, tried.mean), self.trials: trials}
 
     def comment(
-        self, session: RobotSession, before: Any, after: Any, trajectory: Any, done: bool
+        self, session: RobotSession, tried: Any, after: Any, trajectory: Any, done: bool
     ) -> None:
         """How each trial ended, and which parameters are believed in now."""
-        numbers = self.make(session, before).numbers
+        numbers = self.make(session, tried).numbers
         for number, words in zip(numbers, self.came(trajectory), strict=True):
             print(f"  trial {number}: {words}")
         self.advice(session, after)
         if not done:
-            print_parameters(session, before, after)
+            print_parameters(session, tried, after)
 
-    def session_trials(self) -> SessionTrials:
-        """The trials of a session, for `diagnose`."""
-
-        def rows(visit):
-            return [
-                (t["trial"], *(x for key in self.recorded for x in t[key]))
-                for t in visit[self.trials]
-            ]
-
-        return SessionTrials(self.head, rows, self.options, self.assemble())
+    def rows_again(self, visit: Mapping[str, Any]) -> list[tuple]:
+        """A visit's trials, for `diagnose`."""
+        return [
+            (t["trial"], *(x for key in self.read_again for x in t[key]))
+            for t in visit[self.trials]
+        ]
 
 
 def _plain(x: Any) -> Any:
     """Numbers to six digits, as JSON holds them."""
-    import numpy as np
-
     return np.asarray(x, float).round(6).tolist()
 
 
 def config_of(session: RobotSession) -> Any:
     """The task's configuration with which the session's run was trained."""
-    from adaptsim_jax.core import config
-
     return config.from_table(session.kind.config, session.options, str(session.table["run"]))
 
 
@@ -234,8 +209,6 @@ def print_parameters(session: RobotSession, before: Any, after: Any) -> None:
 
 def write_actions(path: Path, columns: tuple[str, ...], trials: Iterable[tuple]) -> None:
     """A CSV with a row for each of `trials`: its number, then arrays of numbers."""
-    from adaptsim_jax.core.files import write_bytes
-
     rows = [
         ",".join([str(n), *(f"{x:.6f}" for part in parts for x in part)]) for n, *parts in trials
     ]

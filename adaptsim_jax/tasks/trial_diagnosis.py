@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.diagnosis import rows
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -33,7 +34,7 @@ class Diagnose:
 
     trial: str
     recording: type
-    read: Callable[..., Any]
+    read: Callable
     effects: Callable[[Any], tuple[Effect, ...]]
     assess: Callable[..., tuple[dict, dict, dict | None, Form, Mapping[str, Callable[[], str]]]]
     criteria: Criteria
@@ -49,7 +50,7 @@ class Diagnose:
         progress: Callable[[float, float, str], None] | None = None,
         page: Page | None = None,
         asked: Mapping[str, Any] | None = None,
-    ) -> dict[str, Any]:
+    ) -> Table:
         """The report on a folder of trials, or on a recording of them.
 
         With `out` it is written there, with `model.toml`, and with `next_experiment.csv` where
@@ -100,7 +101,7 @@ class TracksFound:
 
 def reported(
     made: TracksFound, criteria: Criteria, axes: tuple[int, int] = (0, 1), **more: Any
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[Table, Table]:
     """The report on tracks, with the keys `more`, and the arrays behind its page, which shows a
     plane of two axes.
     """
@@ -151,7 +152,7 @@ def mended_form(
     found: Finding,
     about: tuple[str, str],
     declared: Callable[[dict[str, float]], dict[str, Value]],
-    own: dict[str, Any],
+    own: Table,
 ) -> Form:
     """`model.toml`: declared parameters as fitted, and what each named effect adds.
 
@@ -195,7 +196,7 @@ def next_trials(
     actions: np.ndarray,
     kind: TrialKind,
     sizes: tuple[str, str],
-) -> dict[str, Any]:
+) -> Table:
     """The trials of a grid that tell a named effect and a look-alike apart.
 
     Args:

@@ -10,10 +10,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.tasks import camera_record as record
+from adaptsim_jax.tasks.camera_record import Columns, RowName
 
 MIN_ROWS, SLOWEST = 8, 0.06  # of one trial; s between its rows (20 Hz and some jitter)
 
@@ -148,14 +150,12 @@ class ReadTrials:
         off = aside(self.names, self.found, starts, self.kind.still)
         return {"starts": starts, "aside": off, "time": time, "places": places, "mask": mask}
 
-    def went(self, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    def went(self, arrays: Columns) -> np.ndarray:
         """`[T, C]` m from the first to the last row of each track of `laid_out`."""
         rows = zip(arrays["places"], arrays["mask"], strict=True)
         return np.array([p[int(m.sum()) - 1] - p[0] for p, m in rows])
 
-    def recorded(
-        self, arrays: Mapping[str, np.ndarray], places: np.ndarray, before: str
-    ) -> dict[str, Any]:
+    def recorded(self, arrays: Columns, places: np.ndarray, before: str) -> Table:
         """The fields of `TrialRecording` but actions, with the noise of `places [T, R, C]`, see
         `noise_of`.
         """
@@ -179,7 +179,7 @@ def track_files(folder: Path) -> list[Path]:
     return tracks
 
 
-def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
+def read_meta(path: Path, keys: Sequence[str]) -> Table:
     """meta.toml with no keys but `keys`. Raises BadInput."""
     meta = config.read(path)
     for key in meta:
@@ -191,7 +191,7 @@ def read_meta(path: Path, keys: Sequence[str]) -> dict[str, Any]:
 def read_folder(
     folder: str | Path,
     keys: Sequence[str],
-    assemble: Callable[..., Any],
+    assemble: Callable,
     as_declared: bool,
     without: Sequence[str],
 ) -> Any:
@@ -212,7 +212,7 @@ def rounding_notes(places: np.ndarray, noise: float) -> list[str]:
 
 def read_actions(
     path: Path, needed: Mapping[str, str], optional: Sequence[str], trials: str
-) -> tuple[LogTable, Callable]:
+) -> tuple[LogTable, RowName]:
     """The table of an actions file, and how its row i is named. needed: Columns beside `trial` with
     their units. Raises BadInput.
     """
@@ -226,8 +226,8 @@ def read_actions(
 
 
 def asked_tracks(
-    columns: Mapping[str, np.ndarray],
-    rows: tuple[str, Callable[[int], str]],
+    columns: Columns,
+    rows: tuple[str, RowName],
     numbers: np.ndarray,
     kind: TrialKind,
     needed: tuple[tuple[str, ...], str],
@@ -254,7 +254,7 @@ def read_trials(
     files: TrialFiles,
     kind: TrialKind,
     needed: Mapping[str, str],
-    check: Callable[[Mapping[str, np.ndarray], Callable[[int], str]], None],
+    check: Callable[[Columns, RowName], None],
     optional: Sequence[str] = (),
 ) -> ReadTrials:
     """The trials of files.
@@ -344,7 +344,7 @@ def _read_tracks(path: Path, table: LogTable, wanted: _Wanted, found: Tracks) ->
 
 
 def _read_track(
-    t: np.ndarray, p: np.ndarray, row: Callable, wanted: _Wanted, file: str, number: str
+    t: np.ndarray, p: np.ndarray, row: RowName, wanted: _Wanted, file: str, number: str
 ) -> MeasuredTrack:
     """The track of one trial at times `t [R]` s, `p [R, C]`. row: How messages call one."""
     kind = wanted.kind
@@ -356,7 +356,6 @@ def _read_track(
             f"{row(-1)}: {kind.body} never moved: {kind.never}; leave it out (--without {number}) "
             "or make it again"
         )
-    record.check_clock_set(t, p[:, :2], row, kind.body)
     for j in (2 + wanted.more.index(name) for name in kind.angles if name in wanted.more):
         p[:, j] = record.unwrapped(t, p[:, j], row, kind.body)
     keep = (t >= 0.0) & (t <= kind.ends)
@@ -368,7 +367,7 @@ def _read_track(
     return MeasuredTrack(t[keep], p[keep], file)
 
 
-def _check_times(t: np.ndarray, row: Callable, kind: TrialKind) -> None:
+def _check_times(t: np.ndarray, row: RowName, kind: TrialKind) -> None:
     """BadInput where times `t [R]` s are not those of one trial since the arm's start."""
     if t[-1] - t[0] > 60.0:
         raise BadInput(

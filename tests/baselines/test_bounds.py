@@ -36,7 +36,6 @@ def test_best_in_omega_is_the_target_or_its_clip():
     best = best_in_omega(probe_problem(), TARGETS, points=4)
     np.testing.assert_allclose(best.mean, [[0.25, 0.8], [0.0, 1.0]], atol=1e-6)
     np.testing.assert_allclose(best.cost, [1.0, 1.0 + 0.25 + 1.0], rtol=1e-10)
-    assert np.all(best.grid_cost >= best.cost)
 
 
 def test_costs_and_discrepancy_are_per_target():
@@ -58,10 +57,9 @@ def test_descent_reaches_the_best_and_stays_in_the_box(target, goal):
             lambda u: exact_methods.descend(probe_problem().slope, u, jnp.asarray(target), 25)
         )
         info = run(jnp.array([0.9, 0.1]))
-    u, stationarity = np.asarray(info.u), np.asarray(info.stationarity)
+    u = np.asarray(info.u)
     assert np.all((u >= 0) & (u <= 1))
     np.testing.assert_allclose(u[-1], goal, atol=1e-4)
-    assert stationarity[-1] < 1e-4 < stationarity[0]
 
 
 def test_reachable_values_include_the_shift_at_an_end():

@@ -110,7 +110,6 @@ def test_what_compare_writes(results, tmp_path):
     assert json.loads(paths[0].read_text()) == json.loads(json.dumps(results))
     text = paths[1].read_text()
     assert "| AdaptSim | " in text and "OOD-1" in text and "SysID-Point 3" in text
-    assert {p.name for p in paths} >= {"reward_over_iterations.png"}
     assert all(p.stat().st_size > 100 for p in paths)
 
 

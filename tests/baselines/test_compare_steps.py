@@ -91,7 +91,6 @@ def test_returns_are_normalised_between_udr_and_the_oracle_and_written(tmp_path)
     assert {p.name for p in paths} >= {
         "results.json",
         "table.md",
-        "reward_over_iterations.png",
         "report.html",
     }
     text = (tmp_path / "table.md").read_text()

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,9 +82,8 @@ def test_the_command_goes_on_after_a_late_failure_to_the_same_results(
     curves = np.random.default_rng(0).uniform(0.0, 1.0, (2, 3))
     first, second = Counted(curves), Counted(curves, 1)
     monkeypatch.setattr(exact, "EXACT", {"adaptsim": first, "sysid_point": second})
-    ends = exact.Bounds(
-        None, SimpleNamespace(mean=np.zeros((1, 2))), *np.array([[2.0], [1.0], [1.0]])
-    )  # type: ignore[arg-type]
+    best: Any = SimpleNamespace(mean=np.zeros((1, 2)))
+    ends = exact.Bounds(best, *np.array([[2.0], [1.0], [1.0]]))
     monkeypatch.setattr(exact, "find_bounds", lambda *given: ends)
 
     def rows(method, names, arena, bounds, made):

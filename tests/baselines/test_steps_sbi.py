@@ -46,7 +46,7 @@ def test_it_agrees_with_sysid_bayes_on_the_pendulum():
     for place in (0.3, 0.6):
         truth = np.full(D, place, np.float32)
         real = task.observe(task.rollout(real_key, policy, task.space.physical(jnp.asarray(truth))))
-        ours = np.asarray(network.infer(init_key, fitted.variables, (real - shift) / scale))
+        ours = np.asarray(network.infer(init_key, fitted, (real - shift) / scale))
         theirs = sample(np.asarray(real), 1000)
         assert theirs.shape == (1000, D)
         spread = np.maximum(ours.std(0), theirs.std(0))

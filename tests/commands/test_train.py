@@ -283,20 +283,6 @@ def test_a_session_keeps_the_policy_it_began_with(straight, tmp_path, capsys):
     assert robot("record", tmp_path / "a.csv", "--dir", folder) == 0
 
 
-def test_a_session_that_does_not_say_its_policy_goes_on(straight, tmp_path, monkeypatch):
-    """As sessions were written before they kept it."""
-    from adaptsim_jax.commands import robot_session as command
-
-    folder = tmp_path / "robot"
-    with monkeypatch.context() as patch:
-        patch.setattr(
-            command, "identity", lambda run: None
-        )  # TOML has no null: the key is left out
-        assert robot("new", straight, "--dir", folder, "--starts", "1", "--iterations", "2") == 0
-    assert "trained" not in (folder / "robot.toml").read_text()
-    assert robot("next", "--dir", folder) == 0
-
-
 def test_ctrl_c_while_training_can_be_resumed(straight, tmp_path):
     folder = tmp_path / "run"
     code = HEED + "import sys; from adaptsim_jax.cli import main; sys.exit(main(sys.argv[1:]))"

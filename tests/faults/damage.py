@@ -25,8 +25,8 @@ class Recording:
 class Kind:
     """angles: rad; optional: columns that may be left out, all together; needed: columns that may
     not; lengths: m; placed: of these, where another origin is another meaning; mirrored: where
-    another sign is; turn: of a quaternion, w first; scales: units of time, as a factor of s; sizes:
-    name -> factor of an action in another unit.
+    another sign is told; turn: of a quaternion, w first; scales: units of time, as a factor of s;
+    sizes: name -> factor of an action in another unit.
     """
 
     angles: tuple[str, ...] = ()
@@ -151,25 +151,23 @@ def elsewhere(c, rng, kind):
 def frame(c, rng, kind):
     """A camera that is mirrored, upside down, or whose axes are exchanged."""
     how, (first, second) = int(rng.integers(3)), kind.lengths[:2]
-    if how == 0:
+    if how == 0 and kind.mirrored:
         return c | {kind.mirrored: -c[kind.mirrored]}
-    if how == 1:
+    if how < 2:
         return c | {first: -c[first], second: -c[second]}
     return c | {first: c[second], second: c[first]}
 
 
 def turn(c, rng, kind):
-    """A quaternion with w last, from world to body, of another length, or (which changes nothing)
-    of the other sign here and there.
+    """A quaternion with w last, of another length, or (which changes nothing) of the other sign
+    here and there.
     """
     w, x, y, z = (c[k] for k in kind.turn)
-    how = int(rng.integers(4))
+    how = int(rng.integers(3))
     if how == 0:
         told = (x, y, z, w)
-    elif how == 1:
-        told = (w, -x, -y, -z)
     else:
-        factor = np.where(rng.random(len(w)) < 0.3, -1.0, 1.0) * (1.0 if how == 2 else 1.5)
+        factor = np.where(rng.random(len(w)) < 0.3, -1.0, 1.0) * (1.0 if how == 1 else 1.5)
         told = tuple(factor * part for part in (w, x, y, z))
     return c | dict(zip(kind.turn, told, strict=True))
 
@@ -280,6 +278,6 @@ TRACKS = tuple(
         ),
     )
 )
+POSES = (*TRACKS, on_all(turn))
 TRACKS = (*TRACKS, on_all(frame))
 ASKED = (*TRACKS, actions)
-POSES = (*TRACKS, on_all(turn))

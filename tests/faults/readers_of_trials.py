@@ -34,14 +34,12 @@ SCOOP = Kind(
     needed=("x", "y"),
     lengths=("x", "y"),
     placed=("x", "y"),
-    mirrored="y",
     sizes=(("pitch", 180 / np.pi), ("distance", 1e3), ("distance", 100.0)),
 )
 TOSS = Kind(
     needed=toss_folder.COLUMNS[1:],
     lengths=("x", "y", "z"),
     placed=("z",),
-    mirrored="x",
     turn=("qw", "qx", "qy", "qz"),
 )
 ASKED = Kind(needed=("x", "y"), lengths=("x", "y"), placed=("x", "y"), mirrored="y")

@@ -24,8 +24,15 @@ SPOILED = {
 }
 
 
-@pytest.mark.parametrize("task", TASKS)
-@pytest.mark.parametrize("name", SPOILED)
+@pytest.mark.parametrize(
+    ("task", "name"),
+    [
+        (task, name)
+        for task in TASKS
+        for name in SPOILED
+        if (task, name) != ("scooping", "mirrored")
+    ],
+)
 def test_spoiled_tracks_are_refused_with_a_mend(tmp_path, capsys, task, name):
     spoil, says, mend = SPOILED[name]
     healthy = TASKS[task]()[0]

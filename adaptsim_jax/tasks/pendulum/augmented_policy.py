@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.control.riccati import solve_care
 from adaptsim_jax.control.small_matrix import mm, solve, transpose
@@ -41,16 +42,16 @@ class MendedPolicy(NamedTuple):
     model that it was trained on. code: The Riccati solver's.
     """
 
-    gain: jax.Array
-    feed: jax.Array
-    share: jax.Array
-    phi: jax.Array
-    gamma: jax.Array
-    recent: jax.Array
-    zero: jax.Array
-    theta: jax.Array
-    eff: jax.Array
-    code: jax.Array
+    gain: Array
+    feed: Array
+    share: Array
+    phi: Array
+    gamma: Array
+    recent: Array
+    zero: Array
+    theta: Array
+    eff: Array
+    code: Array
 
 
 @dataclass(frozen=True)
@@ -109,7 +110,7 @@ def make_world(
 
 
 @broadcasts
-def command(world: MendedWorld, policy: MendedPolicy, y, past, t) -> jax.Array:
+def command(world: MendedWorld, policy: MendedPolicy, y, past, t) -> Array:
     """Torque `[2]` N m of a policy that sees `y: [4]` and its own `past: [H, 2]` commands (the
     newest last).
     """
@@ -126,7 +127,7 @@ def command(world: MendedWorld, policy: MendedPolicy, y, past, t) -> jax.Array:
 
 
 @broadcasts
-def modelled_force(model: PlantModel, theta, eff, x, u, t) -> jax.Array:
+def modelled_force(model: PlantModel, theta, eff, x, u, t) -> Array:
     """Force of all force effects `[n, T]` at states `x: [S, T]`, dry friction by a smooth sign."""
     n = model.plant.joint_dim
     way = jnp.tanh(x[n:] / SLIDING)
@@ -136,7 +137,7 @@ def modelled_force(model: PlantModel, theta, eff, x, u, t) -> jax.Array:
 
 
 @broadcasts
-def _static(model: PlantModel, eff, u) -> jax.Array:
+def _static(model: PlantModel, eff, u) -> Array:
     """Command effects that do not remember, on `u: [T, U]`."""
     t = DT * jnp.arange(u.shape[0], dtype=u.dtype)[:, None, None]
     u = u[:, :, None]
@@ -152,7 +153,7 @@ def _remembers(effect) -> bool:
     return any(p.unit == "s" for p in effect.parameters)
 
 
-def _inverse(model: PlantModel, eff, wanted) -> jax.Array:
+def _inverse(model: PlantModel, eff, wanted) -> Array:
     """The command after which the static command effects give `wanted: [U]`, by a few fixed-point
     steps.
     """
@@ -167,10 +168,10 @@ class AffineLaw(NamedTuple):
     themselves; `[n]`.
     """
 
-    slope_q: jax.Array
-    slope_v: jax.Array
-    push: jax.Array
-    gain: jax.Array
+    slope_q: Array
+    slope_v: Array
+    push: Array
+    gain: Array
 
 
 @broadcasts
@@ -199,7 +200,7 @@ def along(world: MendedWorld, theta, eff, loop: Loop) -> AffineLaw:
 @broadcasts
 def lqr(
     world: MendedWorld, theta, eff, affine: AffineLaw
-) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, jax.Array]:
+) -> tuple[Array, Array, Array, Array, Array]:
     """Optimal gain `[2, 4]` and constant torque `[2]` of the model with affine forces, with its A,
     B and Riccati code.
     """
@@ -364,7 +365,7 @@ def _ahead(world: MendedWorld, policy: MendedPolicy, A, B) -> MendedPolicy:
 
 
 @broadcasts
-def _sensor_delay(world: MendedWorld, eff) -> jax.Array:
+def _sensor_delay(world: MendedWorld, eff) -> Array:
     """Sum of the time constants of the sensors, the later joint's."""
     layout, total = world.model.layout, jnp.zeros(world.model.plant.joint_dim)
     for effect in layout.placed("measurement"):

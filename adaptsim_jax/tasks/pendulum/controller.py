@@ -13,13 +13,14 @@ compares policies that were trained on the declared and on the mended model.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.closed_loop import Course, Law, run_loop
 from adaptsim_jax.mechanisms.stepping import Sample
@@ -92,7 +93,7 @@ def make_controller(given: ModelFile, table: dict, where: str = POLICY) -> Contr
 REWARD_GAIN = 10.0  # as the task's: cost a tenth above the best gives 0
 
 
-def task_reward(before: ModelFile, after: ModelFile) -> dict[str, Any] | None:
+def task_reward(before: ModelFile, after: ModelFile) -> Table | None:
     """`{before, after, oracle, cost, in}`: policies of the declared and of the mended model, both
     run in the mended one, rewards against the better of the two.
 
@@ -118,7 +119,7 @@ class TrainedLaw:
     def __init__(self, world: MendedWorld, policy: MendedPolicy):
         self.world, self.policy = world, policy
 
-    def law(self, y, past, t) -> jax.Array:
+    def law(self, y, past, t) -> Array:
         """Torque `[2]` N m for what the sensors say `[4]` and the own past commands `[H, 2]`."""
         rows = self.world.history
         if past.shape[0] >= rows:
@@ -135,7 +136,7 @@ def trained_policy(given: ModelFile) -> TrainedLaw:
     return TrainedLaw(world, jax.jit(lambda theta, eff: descended(world, theta, eff))(theta, eff))
 
 
-def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
+def cost_in(target: ModelFile, law: Law, history: int) -> Array:
     """Cost `[]` of a law in a model that stands for the target."""
     world = make_world(target, history=history)
     theta, eff = _point(target, world)
@@ -149,6 +150,6 @@ def cost_in(target: ModelFile, law: Law, history: int) -> jax.Array:
     return run(theta, eff)
 
 
-def _point(given: ModelFile, world: MendedWorld) -> tuple[jax.Array, jax.Array]:
+def _point(given: ModelFile, world: MendedWorld) -> tuple[Array, Array]:
     theta = jnp.asarray(given.theta(world.model.plant), jnp.float32)
     return theta, jnp.asarray(given.effect_vector(world.model.layout), jnp.float32)

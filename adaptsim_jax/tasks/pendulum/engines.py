@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
@@ -264,9 +265,7 @@ make_backend = BACKENDS.make
 REFERENCE = "native"
 
 
-def pendulum_parity(
-    samples: int, seed: int, progress: Report = silent, steps: int = 500
-) -> dict[str, Any]:
+def pendulum_parity(samples: int, seed: int, progress: Report = silent, steps: int = 500) -> Table:
     """Final states of every backend against native MuJoCo, after `steps` steps of 1 ms, in double
     precision.
 
@@ -297,7 +296,7 @@ def pendulum_parity(
     }
 
 
-def _differences(end: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
+def _differences(end: np.ndarray, reference: np.ndarray) -> Table:
     finite = np.isfinite(end).all(1) & np.isfinite(reference).all(1)
     gap = np.abs(end - reference)[finite]
     if not len(gap):
@@ -309,7 +308,7 @@ def _differences(end: np.ndarray, reference: np.ndarray) -> dict[str, Any]:
     return {"diverged": int((~finite).sum()), **numbers}
 
 
-def parity_lines(found: dict[str, Any]) -> list[str]:
+def parity_lines(found: Table) -> list[str]:
     """The results of `pendulum_parity` for a person."""
     lines = [
         f"{found['task']}: {found['samples']} random samples of {found['seconds']:g} s, double "

@@ -8,9 +8,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief, finite
+from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.mend.pendulum_model import model_of
 from adaptsim_jax.tasks.base import RobotFace, Task, TaskKind
+from adaptsim_jax.tasks.one_shot import leaves_by_name
 from adaptsim_jax.tasks.pendulum.augmented import make_mended_pendulum
 from adaptsim_jax.tasks.pendulum.engines import BACKENDS, PARITY
 from adaptsim_jax.tasks.pendulum.task import PendulumConfig, make_pendulum
@@ -19,7 +23,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.commands.robot_session import RobotSession
 
 
-def augmented(options: dict[str, Any], where: str) -> Task:
+def augmented(options: Table, where: str) -> Task:
     """The task on a mended model, whose table stands under `model`; `reward_gain` may stand beside
     it.
     """
@@ -43,7 +47,7 @@ def augmented(options: dict[str, Any], where: str) -> Task:
     return make_mended_pendulum(model_of(given, f"{where}, model"), gain)
 
 
-def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
+def of_model(table: Table, where: str) -> Table:
     """The option `model`: the checked file, less what is only for people."""
     model_of(table, where)
     return {
@@ -53,7 +57,6 @@ def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
     }
 
 
-TURN = "trial"
 HOW = (
     "let go hanging straight down (q1 = -pi, zero upright); for 2.5 s, {law}\n"
     "write a CSV with columns time, q1, q2, tau1, tau2 (v1, v2 where measured) in s, rad, N m"
@@ -65,65 +68,54 @@ CONTROLLER = """every 5 ms, the torque that this policy's controller says (it is
   torque = controller([q1, q2, v1, v2], t)   # rad with zero upright, rad/s, s since the start; N m"""  # noqa: E501
 
 
-def opened(session: RobotSession, total: int) -> str:
-    """What a new session consists of."""
-    return f"session of {total} trials"
+class PendulumRobot(RobotFace):
+    """A gain or a controller, and one trial a file."""
 
+    again = False
 
-def policy_file(session: RobotSession, policy: Any) -> dict[str, Any]:
-    """What `policy.toml` holds beside the parameters."""
-    from adaptsim_jax.tasks.one_shot import leaves_by_name
+    def policy_file(self, session: RobotSession, policy: Any) -> Table:
+        return {"policy": leaves_by_name(policy)}
 
-    return {"policy": leaves_by_name(policy)}
+    def show(self, session: RobotSession, tried: Any, policy: Any, history: list, done: bool):
+        """Print the policy, and how to run it while trials are left. A mended model's controller
+        needs the model beside it.
+        """
+        model = session.options.get("model")
+        for name, value in leaves_by_name(policy).items():
+            # a solver's code of 0 says nothing; the rest of a mended policy is for its controller,
+            # not for people
+            if name == "gain" or (model is None and value != 0):
+                print(f"  {name} = {_digits(value)}")
+        if done:
+            return
+        if model is None:
+            print(HOW.format(law=GAIN))
+        else:
+            config.write(session.folder / "model.toml", model)
+            print(HOW.format(law=CONTROLLER.format(folder=str(session.folder))))
 
+    def read(self, session: RobotSession, tried: Any, path: Path) -> Any:
+        """The trajectory of a measured trial."""
+        from adaptsim_jax.tasks.pendulum import measured
 
-def show(
-    session: RobotSession, state: Any, policy: Any, history: list[dict[str, Any]], done: bool
-) -> None:
-    """Print the policy, and how to run it while trials are left. A mended model's controller needs
-    the model beside it.
-    """
-    from adaptsim_jax.core import config
-    from adaptsim_jax.tasks.one_shot import leaves_by_name
-
-    model = session.options.get("model")
-    for name, value in leaves_by_name(policy).items():
-        # a solver's code of 0 says nothing; the rest of a mended policy is for its controller, not
-        # for people
-        if name == "gain" or (model is None and value != 0):
-            print(f"  {name} = {_digits(value)}")
-    if done:
-        return
-    if model is None:
-        print(HOW.format(law=GAIN))
-    else:
-        config.write(session.folder / "model.toml", model)
-        print(HOW.format(law=CONTROLLER.format(folder=str(session.folder))))
-
-
-def read(session: RobotSession, state: Any, path: Path) -> Any:
-    """The trajectory of a measured trial."""
-    from adaptsim_jax.logs.table import read_table
-    from adaptsim_jax.tasks.pendulum import measured
-
-    table = read_table(path, measured.COLUMNS)
-    found = measured.measured_trajectory(
-        table.columns,
-        str(path),
-        session.options.get("observation", "full"),
-        lines=table.lines,
-        row_word=table.row_word,
-    )
-    if not session.as_declared:
-        measured.check_columns(table.columns, str(path))
-    if session.options.get("model") is None and (
-        trials := measured.check_policy(table.columns, state.policy.gain)
-    ):
-        print(
-            f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: "
-            "adaptsim robot undo"
+        table = read_table(path, measured.COLUMNS)
+        found = measured.measured_trajectory(
+            table.columns,
+            str(path),
+            session.options.get("observation", "full"),
+            lines=table.lines,
+            row_word=table.row_word,
         )
-    return found
+        if not session.as_declared:
+            measured.check_columns(table.columns, str(path))
+        if session.options.get("model") is None and (
+            trials := measured.check_policy(table.columns, tried.policy.gain)
+        ):
+            print(
+                f"warning: {trials}: another gain, late, cut off, or angles that froze? if so: "
+                "adaptsim robot undo"
+            )
+        return found
 
 
 def _digits(value: Any) -> str:
@@ -133,15 +125,12 @@ def _digits(value: Any) -> str:
     return f"{value:.6g}"
 
 
-ROBOT = RobotFace(TURN, opened, policy_file, show, read, again=False)
-
-
 TASK = TaskKind(
     PendulumConfig,
     make_pendulum,
     augmented=augmented,
     of_model=of_model,
-    robot=ROBOT,
+    robot=PendulumRobot(),
     backends=BACKENDS,
     parity=PARITY,
 )

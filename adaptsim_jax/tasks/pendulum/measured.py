@@ -2,7 +2,6 @@
 of.
 """
 
-from collections.abc import Mapping
 from typing import Literal
 
 import jax.numpy as jnp
@@ -25,6 +24,7 @@ from adaptsim_jax.mechanisms.double_pendulum.linear import (
     SNAPSHOTS,
 )
 from adaptsim_jax.tasks import camera_record as record
+from adaptsim_jax.tasks.camera_record import Columns
 from adaptsim_jax.tasks.pendulum.task import PendulumTrajectory
 
 NEEDED = ("time", "q1", "q2", "tau1", "tau2")
@@ -51,7 +51,7 @@ STILL = 0.01
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray],
+    columns: Columns,
     where: str,
     observation: Literal["full", "late"] = "full",
     *,
@@ -101,7 +101,7 @@ def measured_trajectory(
     return PendulumTrajectory(points, jnp.float32(cost), jnp.zeros((), jnp.int32))
 
 
-def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
+def check_columns(columns: Columns, where: str) -> None:
     """BadInput where the motion of a trial that `measured_trajectory` took contradicts its columns:
     joints or torques exchanged, signs turned, one angle in another unit, torques of no such
     pendulum. Links of 1 m, whatever their masses.
@@ -128,7 +128,7 @@ def check_columns(columns: Mapping[str, np.ndarray], where: str) -> None:
         )
 
 
-def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
+def check_policy(columns: Columns, gain: np.ndarray) -> str:
     """What the torques of a trial have of -gain `[2, 4]` @ (q1, q2, v1, v2), in words where it is
     too little; rows where a torque is at its largest, a drive's limit, say nothing.
     """
@@ -153,19 +153,19 @@ def check_policy(columns: Mapping[str, np.ndarray], gain: np.ndarray) -> str:
     return ""
 
 
-def _pair(columns: Mapping[str, np.ndarray], stem: str) -> np.ndarray:
+def _pair(columns: Columns, stem: str) -> np.ndarray:
     """`[T, 2]` of both joints' columns."""
     return np.stack([np.asarray(columns[f"{stem}{j}"], float) for j in (1, 2)], 1)
 
 
-def _speeds(columns: Mapping[str, np.ndarray]) -> np.ndarray | None:
+def _speeds(columns: Columns) -> np.ndarray | None:
     """`[T, 2]` rad/s where they were measured."""
     if "v1" in columns and "v2" in columns:
         return _pair(columns, "v")
     return None
 
 
-def _whole_angles(time: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+def _whole_angles(time: np.ndarray, columns: Columns) -> dict[str, np.ndarray]:
     """q1, q2 without jumps of whole turns, begun at the turn that the task starts at."""
     whole = {}
     for name, start in zip(("q1", "q2"), START, strict=True):
@@ -178,7 +178,7 @@ def _whole_angles(time: np.ndarray, columns: Mapping[str, np.ndarray]) -> dict[s
     return whole
 
 
-def _check_release(time: np.ndarray, columns: Mapping[str, np.ndarray], where: str) -> None:
+def _check_release(time: np.ndarray, columns: Columns, where: str) -> None:
     """BadInput where the arm rests long before it moves: the recording began before the release."""
     q = _pair(columns, "q")
     noise = 1.4826 * np.median(np.abs(np.diff(q, axis=0)), axis=0)
@@ -194,7 +194,7 @@ def _check_release(time: np.ndarray, columns: Mapping[str, np.ndarray], where: s
         )
 
 
-def _check_speeds(time: np.ndarray, columns: Mapping[str, np.ndarray], where: str) -> None:
+def _check_speeds(time: np.ndarray, columns: Columns, where: str) -> None:
     """BadInput where measured velocities are of another unit or sign than the angles."""
     for name in ("1", "2"):
         if f"v{name}" not in columns:

@@ -10,6 +10,7 @@ from typing import Literal, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
@@ -52,16 +53,16 @@ class PendulumTrajectory(NamedTuple):
     `double_pendulum.linear`.
     """
 
-    angles: jax.Array
-    cost: jax.Array
-    code: jax.Array
+    angles: Array
+    cost: Array
+    code: Array
 
 
 class PendulumPolicy(NamedTuple):
     """gain: `[2, 4]`, torque = -gain @ state; code: `[]`, the Riccati solver's."""
 
-    gain: jax.Array
-    code: jax.Array
+    gain: Array
+    code: Array
 
 
 def pendulum_space(config: PendulumConfig = PendulumConfig()) -> Space:
@@ -165,13 +166,13 @@ def best_in_space(space: Space, halvings: int = 4):
     return search
 
 
-def paper_scaling(trajectory: PendulumTrajectory) -> jax.Array:
+def paper_scaling(trajectory: PendulumTrajectory) -> Array:
     """`[24]`: q1 by pi about the start, q2 in rad."""
     q1, q2 = trajectory.angles[:, 0], trajectory.angles[:, 1]
     return jnp.stack([(q1 + jnp.pi) / jnp.pi, q2], -1).reshape(-1)
 
 
-def _squash(x: jax.Array) -> jax.Array:
+def _squash(x: Array) -> Array:
     """Near enough linear to 1, logarithmic far out: what a diverging target shows must not swamp a
     network.
     """

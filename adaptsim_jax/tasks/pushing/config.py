@@ -5,9 +5,9 @@ trajectories are made of.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-import jax
+from jax import Array
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.learners.naf_shared import SharedConfig
@@ -111,9 +111,9 @@ class PushingPolicy(NamedTuple):
         by, where there are any (else None).
     """
 
-    weights: jax.Array
-    tilt: jax.Array | None = None
-    at: jax.Array | None = None
+    weights: Array
+    tilt: Array | None = None
+    at: Array | None = None
     told: PushRecord | None = None
 
 
@@ -124,11 +124,11 @@ class PushingTrajectory(NamedTuple):
     simulated at the mean of E, where they are observed (else None).
     """
 
-    goals: jax.Array
-    points: jax.Array
-    rewards: jax.Array
-    tested: jax.Array
-    expected: jax.Array | None = None
+    goals: Array
+    points: Array
+    rewards: Array
+    tested: Array
+    expected: Array | None = None
 
 
 def pushing_space(config: PushingConfig = PushingConfig()) -> Space:
@@ -153,9 +153,7 @@ def naf_rates(config: PushingConfig, tuning: bool = False) -> NAFHyper:
 
 
 def checked(config: PushingConfig) -> PushOptions:
-    for name in ("trajectories", "tests", "trials"):
-        if getattr(config, name) < 1:
-            raise BadInput(f"pushing, {name} = {getattr(config, name)}: give at least 1")
+    check_counts(config, ("trajectories", "tests", "trials"), "pushing, ")
     for name in ("learning_rate", "tuning_rate"):
         if getattr(config, name) <= 0:
             raise BadInput(

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax.tasks.pushing import model
 
@@ -38,17 +39,17 @@ class PushRecord(NamedTuple):
     ended, used `[K]` bool: whether a row counts.
     """
 
-    actions: jax.Array
-    places: jax.Array
-    used: jax.Array
+    actions: Array
+    places: Array
+    used: Array
 
 
 def nearer(
-    end: Callable[[jax.Array, jax.Array], jax.Array],
-    mean: jax.Array,
+    end: Callable[[Array, Array], Array],
+    mean: Array,
     given: PushRecord,
-    guide: Callable[[jax.Array, jax.Array], jax.Array] | None = None,
-) -> jax.Array:
+    guide: Callable[[Array, Array], Array] | None = None,
+) -> Array:
     """E's `mean [D]` (unit coordinates) moved within Omega to where `end(u [D], action [2]) -> [2]`
     m puts the target's pushes best.
 
@@ -89,9 +90,7 @@ def nearer(
     return jax.lax.scan(one, begin, length=_STEPS)[0][0]
 
 
-def with_gaps(
-    push: Callable[[jax.Array], jax.Array], given: PushRecord
-) -> Callable[[jax.Array], jax.Array]:
+def with_gaps(push: Callable[[Array], Array], given: PushRecord) -> Callable[[Array], Array]:
     """`push(action [2] in [-1, 1]) -> [2]` m, mended by what the target's pushes differ from it by.
     Rows that are not used, or not finite, count for nothing; without any it is `push` itself.
     """
@@ -103,7 +102,7 @@ def with_gaps(
     return lambda action: push(action) + (_alike(action[None], given.actions) @ weights)[0]
 
 
-def _alike(a: jax.Array, b: jax.Array) -> jax.Array:
+def _alike(a: Array, b: Array) -> Array:
     """`[A, 2], [B, 2] -> [A, B]`: 1 for the same action, 0 for far ones."""
     return jnp.exp(-0.5 * jnp.sum(((a[:, None] - b[None]) / _REACH) ** 2, -1))
 
@@ -117,12 +116,10 @@ _GUIDED_DAMPING = (
     8.0,
 )  # of the steps, m^2: at first, and its factors after a success and a failure
 
-Push = Callable[[jax.Array], jax.Array]
+Push = Callable[[Array], Array]
 
 
-def refine(
-    push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push | None = None
-) -> jax.Array:
+def refine(push: Push, goal: Array, action: Array, trials: int, guide: Push | None = None) -> Array:
     """The best of `trials` simulated pushes for `goal [2]` m, the first of them `action [2]` in
     [-1, 1].
 
@@ -151,12 +148,12 @@ def refine(
 
 def search(
     push: Push,
-    goals: jax.Array,
-    actions: jax.Array,
+    goals: Array,
+    actions: Array,
     trials: int,
-    wide: jax.Array | bool = True,
+    wide: Array | bool = True,
     guide: Push | None = None,
-) -> jax.Array:
+) -> Array:
     """For each of `goals [N, 2]` m the better of two refined actions `[N, 2]`: the one given, and
     the best of a grid for all goals; where `wide []` is false, the one given. The grid's pushes are
     simulated by `guide` where there is one.
@@ -179,7 +176,7 @@ def search(
     return jnp.where(((distance[1] < distance[0]) & wide)[:, None], found[1], found[0])
 
 
-def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: Push) -> jax.Array:
+def _guided(push: Push, goal: Array, action: Array, trials: int, guide: Push) -> Array:
     """The best of `trials` pushes, each solved for in `guide` as shifted by what the last one was
     off it by (space mapping, Bandler et al. 1994). The last is not simulated unless it has to be
     compared: One trial is the guide's own solution.
@@ -203,7 +200,7 @@ def _guided(push: Push, goal: jax.Array, action: jax.Array, trials: int, guide: 
     return jax.lax.scan(one, (first, first, jnp.asarray(jnp.inf, goal.dtype)), length=trials)[0][1]
 
 
-def _ahead(action, miss, slope, damping) -> jax.Array:
+def _ahead(action, miss, slope, damping) -> Array:
     """The next action to try."""
     (a, b), (_, c) = slope.T @ slope + damping * jnp.eye(2)
     x, y = slope.T @ miss
@@ -212,7 +209,7 @@ def _ahead(action, miss, slope, damping) -> jax.Array:
     return jnp.clip(action + jnp.clip(step, -_FARTHEST, _FARTHEST), -1.0, 1.0)
 
 
-def _guess(final: jax.Array, action: jax.Array) -> jax.Array:
+def _guess(final: Array, action: Array) -> Array:
     """`[2, 2]`: what a change of `action` does to `final`, for a bottle that slides along the push
     as far as its speed squared.
     """

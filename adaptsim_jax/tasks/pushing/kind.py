@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.mend.model_toml import RENEW, read_form
 from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, TaskKind
@@ -18,7 +19,7 @@ from adaptsim_jax.tasks.pushing import task as pushing
 from adaptsim_jax.tasks.pushing.engines import BACKENDS, PARITY
 from adaptsim_jax.tasks.pushing.model import PAPER, PARAMETERS
 from adaptsim_jax.tasks.pushing.one_shot import as_deployed, make_pushing_one_shot
-from adaptsim_jax.tasks.pushing.robot import ROBOT
+from adaptsim_jax.tasks.pushing.robot import PushSessions
 from adaptsim_jax.tasks.pushing.slide import NEUTRAL
 from adaptsim_jax.tasks.pushing.task import PushingConfig, make_pushing
 from adaptsim_jax.tasks.pushing.trial import make_guide, make_simulator
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
 OWN = ("friction", "mass", "coefficients")
 
 
-def of_model(table: dict[str, Any], where: str) -> dict[str, Any]:
+def of_model(table: Table, where: str) -> Table:
     """Options `friction`, `coefficients`, `mended` and `fitted` of a model file's table. Under
     `left_out` the names of effects that are of the measurement alone (a camera that is late or
     turned) and so none of the simulator's. Raises BadInput with the key.
@@ -166,7 +167,7 @@ TASK = TaskKind(
     make_pushing_one_shot,
     of_model=of_model,
     adapt=ADAPT,
-    robot=ROBOT,
+    robot=PushSessions(),
     symbols=SYMBOLS,
     backends=BACKENDS,
     parity=PARITY,

@@ -6,7 +6,7 @@ start, and the bottle's place in the arm's base frame. Whatever the task cannot 
 the row.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
+from adaptsim_jax.tasks.camera_record import Columns, RowName
 from adaptsim_jax.tasks.one_shot import read_saved
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing import task as pushing
@@ -26,7 +28,7 @@ from adaptsim_jax.tasks.pushing.frame import FRAME, KIND
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.one_shot import make_aims
 from adaptsim_jax.tasks.pushing.task import PushingConfig, PushingPolicy, PushingTrajectory
-from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, record_of_trials
+from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, corrected_by
 from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y")
@@ -72,10 +74,10 @@ def corrected(
     """The policy as it is deployed after pushes `actions [K, 2]` (m/s, rad) whose bottles ended at
     `places [K, 2]` m: corrected by them where the task does that (`correct`), else as it is.
     """
-    if not config.correct or not len(actions):
+    if not config.correct:
         return policy
     bounds = (model.ACTION_LOW, model.ACTION_HIGH)
-    return policy._replace(told=record_of_trials(PushRecord, bounds, actions, places))
+    return corrected_by(policy, PushRecord, bounds, actions, places)
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
@@ -128,11 +130,11 @@ def _table_columns(table: Any, path: str | Path) -> tuple[np.ndarray, np.ndarray
     return actions, places
 
 
-def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]:
+def policy_table(policy: PushingPolicy, config: PushingConfig) -> Table:
     """What a file holds of a policy for `read_policy`: its network and, where its actions are
     refined, the simulator at E and the pushes that correct it (m/s, rad, m).
     """
-    table: dict[str, Any] = {
+    table: Table = {
         "hidden": list(config.hidden),
         "policy": {"weights": policy.weights.tolist()},
     }
@@ -147,8 +149,8 @@ def policy_table(policy: PushingPolicy, config: PushingConfig) -> dict[str, Any]
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     where: str,
     pushes: AskedTrials,
     config: PushingConfig,
@@ -179,7 +181,7 @@ def _resampled(time: np.ndarray, track: np.ndarray, config: PushingConfig) -> np
     return np.stack([np.interp(grid, time, track[:, k]) for k in range(2)], 1)
 
 
-def _check_time(time: np.ndarray, reported: Callable[[int], str], config: PushingConfig) -> None:
+def _check_time(time: np.ndarray, reported: RowName, config: PushingConfig) -> None:
     """From the arm's start to the end of the trial, in s."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     last = config.duration - min(1.5 * step, GAP / 2) - 1e-6
@@ -203,7 +205,7 @@ def _check_time(time: np.ndarray, reported: Callable[[int], str], config: Pushin
 
 
 def _check_track(
-    time: np.ndarray, track: np.ndarray, reported: Callable[[int], str], config: PushingConfig
+    time: np.ndarray, track: np.ndarray, reported: RowName, config: PushingConfig
 ) -> None:
     """A bottle that stood where it should, then moved, and never jumped."""
     if config.observation == "final" and time[0] > LATE:

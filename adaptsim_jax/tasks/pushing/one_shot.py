@@ -13,8 +13,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.naf_goals import GoalProblem, Trials, make_goal_learner
 from adaptsim_jax.tasks.base import Episode
@@ -55,7 +57,7 @@ def make_pushing_one_shot(config: PushingConfig) -> OneShot:
     def trials(goals, actions, points):
         return Trials(goals, actions, points[:, -1])
 
-    policies: dict[str, Any] = naf_policies(
+    policies: Table = naf_policies(
         naf, learner, config.trials, config.training, PushingPolicy, task.goal_input, trials
     )
     policies["act"] = task.make_choice(config)
@@ -92,7 +94,7 @@ def _world(
     config: PushingConfig, options: PushOptions, backend: str, /, **settings: Any
 ) -> TargetWorld:
     """A target in `backend`; the planar model is the one of `config`."""
-    own: dict[str, Any] = {}
+    own: Table = {}
     if backend == "planar":
         own = {"coefficients": config.coefficients, "lacking": asdict(config.mended)}
     return pushing_world(backend, options, **(own | settings))
@@ -140,13 +142,11 @@ def pushing_world(
     return TargetWorld(backend, run, dict(model.MESSAGES))
 
 
-def _reward(points: jax.Array, goal: jax.Array) -> jax.Array:
+def _reward(points: Array, goal: Array) -> Array:
     return task.push_reward(points[-1], goal)
 
 
-def _remember(
-    policy: PushingPolicy, actions: jax.Array, points: jax.Array, used: jax.Array
-) -> PushingPolicy:
+def _remember(policy: PushingPolicy, actions: Array, points: Array, used: Array) -> PushingPolicy:
     places = points[:, -1]
     return policy._replace(told=PushRecord(actions, places, used & jnp.isfinite(places).all(-1)))
 
@@ -181,7 +181,7 @@ def as_deployed(config: PushingConfig, result: Any, target: Any) -> Any:
 
 
 def deployed(
-    history: Episode, target: jax.Array, config: PushingConfig
+    history: Episode, target: Array, config: PushingConfig
 ) -> tuple[PushingPolicy, PushRecord]:
     """The policies `[N, I + 1]` of `history [N, I + 1]` in `target [D]` (physical), each told the
     pushes that all N starts made before its iteration; and all of these pushes. Those that failed
@@ -215,7 +215,7 @@ def deployed(
     return history.policy._replace(told=trials), every
 
 
-def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) -> jax.Array:
+def tested(policies: PushingPolicy, target: Array, config: PushingConfig) -> Array:
     """Mean rewards `[N]` of `policies [N]` over the test goals in `target [D]` (physical). Pure."""
     grid, act, end = (
         task.goal_lattice(config.tests),
@@ -227,7 +227,7 @@ def tested(policies: PushingPolicy, target: jax.Array, config: PushingConfig) ->
     )
 
 
-def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.Array]:
+def _end(target: Array, config: PushingConfig) -> Callable[[Array], Array]:
     simulate = make_simulator(config)
     return lambda action: simulate(target, action)[-1]
 
@@ -235,7 +235,7 @@ def _end(target: jax.Array, config: PushingConfig) -> Callable[[jax.Array], jax.
 DRAWN = 8  # goals in each part of the sector that one is taken of
 
 
-def make_aims(config: PushingConfig) -> Callable[[jax.Array, PushingPolicy], jax.Array]:
+def make_aims(config: PushingConfig) -> Callable[[Array, PushingPolicy], Array]:
     """`aims(key, policy) -> [trajectories, 2]` m, the goals of an iteration's pushes in a target.
     Pure.
 

@@ -13,6 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+from jax import Array
 
 from adaptsim_jax import space as spaces
 from adaptsim_jax.learners.naf import NAFConfig, make_naf
@@ -51,7 +52,7 @@ from adaptsim_jax.tasks.pushing.trial import (
 
 def make_policy(
     config: PushingConfig = PushingConfig(),
-) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
+) -> Callable[[PushingPolicy, Array], Array]:
     """`act(policy, goal [..., 2] m) -> [..., 2]`: the push for a goal, speed m/s and angle rad.
     Pure.
     """
@@ -59,7 +60,7 @@ def make_policy(
     return lambda policy, goal: physical_action(choose(policy, goal))
 
 
-def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, jax.Array], jax.Array]:
+def make_choice(config: PushingConfig) -> Callable[[PushingPolicy, Array], Array]:
     """The same with actions in [-1, 1]. A policy for no E in particular (UDR's) is not refined:
     there is no mean to try it at.
     """
@@ -192,7 +193,7 @@ def make_expectation(
     return expect
 
 
-def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
+def moved(policy: PushingPolicy, mean: Array) -> PushingPolicy:
     """The policy for another mean of E `[D]` (unit coordinates), before any training there. As it
     is, if it knows no other.
     """
@@ -203,7 +204,7 @@ def moved(policy: PushingPolicy, mean: jax.Array) -> PushingPolicy:
     )
 
 
-def _blank(weights: jax.Array, config: PushingConfig, space: Space) -> PushingPolicy:
+def _blank(weights: Array, config: PushingConfig, space: Space) -> PushingPolicy:
     if not config.pretrain:
         return PushingPolicy(weights)
     return PushingPolicy(
@@ -213,7 +214,7 @@ def _blank(weights: jax.Array, config: PushingConfig, space: Space) -> PushingPo
 
 def _pretrain(
     config: PushingConfig, space: Space, simulate: Callable
-) -> Callable[[jax.Array], PushingPolicy]:
+) -> Callable[[Array], PushingPolicy]:
     """`(key) -> policy` for all of Omega, at its centre; it was shown means in [-1, 1]."""
     wide = make_naf(NAFConfig(obs_dim=2 + space.dim, action_dim=2, hidden=config.hidden))
 

@@ -9,6 +9,7 @@ from dataclasses import asdict
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.tasks.pushing import model, planar, slide
 from adaptsim_jax.tasks.pushing.config import PushingConfig, PushingTrajectory
@@ -26,12 +27,12 @@ _MIDDLE, _HALF = (
 )  # goals to [-1, 1], and what is seen of the bottle alike
 
 
-def draw_goal(key: jax.Array) -> jax.Array:
+def draw_goal(key: Array) -> Array:
     """A goal `[2]` m, uniform in radius and angle over the sector of goals."""
     return _goal_at(jax.random.uniform(key, (2,)))
 
 
-def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
+def visit_goals(key: Array, config: PushingConfig) -> Array:
     """`[trajectories, 2]` m: the goals that an iteration tries a policy on."""
     n = config.trajectories
     if config.goals == "drawn":
@@ -49,7 +50,7 @@ def visit_goals(key: jax.Array, config: PushingConfig) -> jax.Array:
     return _goal_at(u.at[:, 1].set((jnp.arange(n) + u[:, 1]) / n))
 
 
-def sector_goals(key: jax.Array, parts: int, each: int) -> jax.Array:
+def sector_goals(key: Array, parts: int, each: int) -> Array:
     """`[parts, each, 2]` m: goals drawn in each equal part of the sector's angle, near ones as
     likely as far ones.
     """
@@ -57,7 +58,7 @@ def sector_goals(key: jax.Array, parts: int, each: int) -> jax.Array:
     return _goal_at(u.at[..., 1].set((jnp.arange(parts)[:, None] + u[..., 1]) / parts))
 
 
-def _goal_at(u: jax.Array) -> jax.Array:
+def _goal_at(u: Array) -> Array:
     radius = GOAL_RADII[0] + (GOAL_RADII[1] - GOAL_RADII[0]) * u[..., 0]
     angle = GOAL_ANGLE * (2.0 * u[..., 1] - 1.0)
     x = GOAL_CENTRE[0] + radius * jnp.cos(angle)
@@ -65,7 +66,7 @@ def _goal_at(u: jax.Array) -> jax.Array:
     return jnp.stack([x, y], -1)
 
 
-def push_reward(final: jax.Array, goal: jax.Array) -> jax.Array:
+def push_reward(final: Array, goal: Array) -> Array:
     """`1 - distance / 0.2 m`, at least 0, of a bottle at `final [..., 2]`; 0 where it is not
     finite.
     """
@@ -73,14 +74,14 @@ def push_reward(final: jax.Array, goal: jax.Array) -> jax.Array:
     return jnp.where(jnp.isfinite(reward), reward, 0.0)
 
 
-def physical_action(action: jax.Array) -> jax.Array:
+def physical_action(action: Array) -> Array:
     """`[..., 2]` in [-1, 1] to speed m/s and angle rad."""
     low, high = jnp.asarray(model.ACTION_LOW), jnp.asarray(model.ACTION_HIGH)
     lead = (1,) * (action.ndim - 1)
     return (low + high).reshape(*lead, 2) / 2 + action * (high - low).reshape(*lead, 2) / 2
 
 
-def goal_input(goal: jax.Array) -> jax.Array:
+def goal_input(goal: Array) -> Array:
     """A place on the table `[..., 2]` m in the network's coordinates; goals span [-1, 1]."""
     lead = (1,) * (goal.ndim - 1)
     return (goal - jnp.asarray(_MIDDLE, goal.dtype).reshape(*lead, 2)) / jnp.asarray(
@@ -88,7 +89,7 @@ def goal_input(goal: jax.Array) -> jax.Array:
     ).reshape(*lead, 2)
 
 
-def unseen(place: jax.Array) -> jax.Array:
+def unseen(place: Array) -> Array:
     """`goal_input` undone: `[..., 2]` m."""
     lead = (1,) * (place.ndim - 1)
     return place * jnp.asarray(_HALF, place.dtype).reshape(*lead, 2) + jnp.asarray(
@@ -96,7 +97,7 @@ def unseen(place: jax.Array) -> jax.Array:
     ).reshape(*lead, 2)
 
 
-def goal_lattice(count: int) -> jax.Array:
+def goal_lattice(count: int) -> Array:
     """`[count, 2]` m: goals spread over the sector, the same for every policy (a golden-ratio
     lattice).
     """
@@ -108,7 +109,7 @@ def goal_lattice(count: int) -> jax.Array:
 POINTS = 6
 STEP = 0.0025  # s, of a mended slide
 
-Push = Callable[[jax.Array, jax.Array], jax.Array]
+Push = Callable[[Array, Array], Array]
 
 
 def make_simulator(config: PushingConfig) -> Push:
@@ -173,22 +174,18 @@ def _twin(config: PushingConfig) -> Push:
 _SMALL = 0.004  # m: gaps up to here are shown as they are, larger ones by their logarithm
 
 
-def measured(
-    goals: jax.Array, places: jax.Array, tested: jax.Array | None = None
-) -> PushingTrajectory:
+def measured(goals: Array, places: Array, tested: Array | None = None) -> PushingTrajectory:
     """The trajectory of `N` pushes for `goals [N, 2]` m from the bottle's `places [N, T, 2]` m at
     even times, from any backend or from a camera. The last row is the end.
     """
     return of_points(goals, observed_points(places), tested)
 
 
-def observed_points(places: jax.Array) -> jax.Array:
+def observed_points(places: Array) -> Array:
     return places[:, observed_rows(places.shape[1])]
 
 
-def of_points(
-    goals: jax.Array, points: jax.Array, tested: jax.Array | None = None
-) -> PushingTrajectory:
+def of_points(goals: Array, points: Array, tested: Array | None = None) -> PushingTrajectory:
     """The same from the six points `[N, 6, 2]` m alone."""
     rewards = push_reward(points[:, -1], goals)
     return PushingTrajectory(goals, points, rewards, rewards.mean() if tested is None else tested)
@@ -199,7 +196,7 @@ def observed_rows(T: int) -> np.ndarray:
     return np.round(T * np.arange(1, POINTS + 1) / POINTS).astype(int) - 1
 
 
-def observed(trajectory: PushingTrajectory, config: PushingConfig) -> jax.Array:
+def observed(trajectory: PushingTrajectory, config: PushingConfig) -> Array:
     """`[obs_dim]`: places, and goals where shown, in the network's coordinates; far out they are
     held at 4.
     """

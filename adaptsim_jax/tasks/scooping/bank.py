@@ -20,11 +20,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 from scipy.stats import qmc
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import Numerics, ScoopOptions
@@ -51,11 +52,11 @@ class Bank(NamedTuple):
     chance: Layers
     track: Layers
 
-    def logit(self, params: jax.Array, action: jax.Array) -> jax.Array:
+    def logit(self, params: Array, action: Array) -> Array:
         """Log odds of success `[]` at `params [4]` of `action [3]` as executed."""
         return forward(self.chance, features(params, action))[0]
 
-    def places(self, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
+    def places(self, params: Array, action: Array, won: Array) -> Array:
         """Where the piece is seen `[8]` m, ahead of where it lay, in a trial that ended as `won []`
         says (1 or 0).
         """
@@ -66,7 +67,7 @@ class Bank(NamedTuple):
         )  # it lies still when it is first seen
 
 
-def forward(layers: Layers, x: jax.Array) -> jax.Array:
+def forward(layers: Layers, x: Array) -> Array:
     """A tanh network `[n] -> [k]`."""
     for weights, bias in layers[:-1]:
         x = jnp.tanh(x @ weights + bias)
@@ -74,7 +75,7 @@ def forward(layers: Layers, x: jax.Array) -> jax.Array:
     return x @ weights + bias
 
 
-def features(params: jax.Array, action: jax.Array) -> jax.Array:
+def features(params: Array, action: Array) -> Array:
     """`[9]`: friction, log modulus, height and the action, each about [-1, 1] over Omega and the
     actions. A 1 for the shape.
     """
@@ -115,7 +116,7 @@ def identity(options: ScoopOptions, numerics: Numerics) -> str:
 
 
 @cache
-def read_bank(path: Path = PATH) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def read_bank(path: Path = PATH) -> tuple[Table, dict[str, np.ndarray]]:
     """What the file at `path` says of itself, and its arrays."""
     if not path.exists():
         raise BadInput(

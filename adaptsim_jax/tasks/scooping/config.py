@@ -5,9 +5,9 @@ trajectories are made of.
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
-import jax
+from jax import Array
 
-from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.errors import BadInput, check_counts
 from adaptsim_jax.learners.naf import NAF, NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.naf_goals import GoalConfig
 from adaptsim_jax.space import Space
@@ -84,10 +84,10 @@ class ScoopingPolicy(NamedTuple):
     scoop of a visit tries instead (`deployed.make_probe`), if anything.
     """
 
-    weights: jax.Array
-    at: jax.Array | None = None
+    weights: Array
+    at: Array | None = None
     told: ScoopRecord | None = None
-    probe: jax.Array | None = None
+    probe: Array | None = None
 
 
 class ScoopingTrajectory(NamedTuple):
@@ -96,9 +96,9 @@ class ScoopingTrajectory(NamedTuple):
     of `success`).
     """
 
-    points: jax.Array
-    success: jax.Array
-    tested: jax.Array
+    points: Array
+    success: Array
+    tested: Array
 
 
 def scooping_space(config: ScoopingConfig = ScoopingConfig()) -> Space:
@@ -123,9 +123,7 @@ def naf_rates(config: ScoopingConfig) -> NAFHyper:
 
 def checked(config: ScoopingConfig) -> ScoopOptions:
     """The engine's options, if the config makes sense; BadInput names the key otherwise."""
-    for name in ("trajectories", "tests", "trials", "lucks"):
-        if getattr(config, name) < 1:
-            raise BadInput(f"scooping, {name} = {getattr(config, name)}: give at least 1")
+    check_counts(config, ("trajectories", "tests", "trials", "lucks"), "scooping, ")
     if config.fresh < 0:
         raise BadInput(f"scooping, fresh = {config.fresh}: give 0 for none, or more, such as 96")
     if config.checks < 0:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 _STEPS = 30  # towards the mode: each of them comes nearer, whatever the outcomes
 
@@ -24,9 +25,9 @@ class ScoopRecord(NamedTuple):
     `[K]` bool: whether a row counts.
     """
 
-    actions: jax.Array
-    won: jax.Array
-    used: jax.Array
+    actions: Array
+    won: Array
+    used: Array
 
 
 class Doubt(NamedTuple):
@@ -47,13 +48,13 @@ class Odds(NamedTuple):
     pieces `others [A, J]`.
     """
 
-    expected: jax.Array
-    others: jax.Array
+    expected: Array
+    others: Array
 
 
 def chances(
-    trials: ScoopRecord, at_reported: Odds, tried: jax.Array, at_tried: Odds, doubt: Doubt = Doubt()
-) -> jax.Array:
+    trials: ScoopRecord, at_reported: Odds, tried: Array, at_tried: Odds, doubt: Doubt = Doubt()
+) -> Array:
     """`[A]`, chance of success of the actions `tried [A, 3]` as `outlook` has it. Unsure odds are
     drawn towards even, as their expected chance is.
     """
@@ -64,10 +65,10 @@ def chances(
 def outlook(
     trials: ScoopRecord,
     at_reported: Odds,
-    tried: jax.Array,
+    tried: Array,
     at_tried: Odds,
     doubt: Doubt = Doubt(),
-) -> tuple[jax.Array, jax.Array]:
+) -> tuple[Array, Array]:
     """Log odds of success `[A]` of the actions `tried [A, 3]` by the bank and by what was seen in
     the target, `told`, and their variance `[A]`; `at_reported`, `at_tried`: the bank's odds of
     both. Rows that are not used count for nothing.
@@ -98,7 +99,7 @@ def lattice(count: int) -> np.ndarray:
     )
 
 
-def _departures(odds: Odds, doubt: Doubt) -> tuple[jax.Array, jax.Array]:
+def _departures(odds: Odds, doubt: Doubt) -> tuple[Array, Array]:
     """Odds at E's mean `[A]`, bounded, and the ways `[A, J]` in which those of the other pieces
     depart from them.
     """
@@ -110,12 +111,12 @@ def _departures(odds: Odds, doubt: Doubt) -> tuple[jax.Array, jax.Array]:
     return expected, doubt.others * (others - expected[:, None]) / np.sqrt(max(others.shape[1], 1))
 
 
-def _covariance(ways_a, a, ways_b, b, doubt: Doubt) -> jax.Array:
+def _covariance(ways_a, a, ways_b, b, doubt: Doubt) -> Array:
     """`[A, B]`: what pieces make actions share, and what near actions do."""
     return ways_a @ ways_b.T + doubt.spread**2 * _alike(a, b, doubt.reach)
 
 
-def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -> jax.Array:
+def _mode(prior: Array, alike: Array, won: Array, used: Array) -> Array:
     """`[K]`, inverse covariance times the likeliest departure from `prior [K]`, by the bound of
     Jaakkola and Jordan (2000).
     """
@@ -133,13 +134,13 @@ def _mode(prior: jax.Array, alike: jax.Array, won: jax.Array, used: jax.Array) -
     return jax.lax.scan(nearer, jnp.zeros_like(prior), length=_STEPS)[0]
 
 
-def _factor(root: jax.Array, alike: jax.Array) -> jax.Array:
+def _factor(root: Array, alike: Array) -> Array:
     """Cholesky factor of `1 + root alike root`."""
     return jnp.linalg.cholesky(
         jnp.eye(len(root), dtype=alike.dtype) + root[:, None] * alike * root[None]
     )
 
 
-def _alike(a: jax.Array, b: jax.Array, reach: float) -> jax.Array:
+def _alike(a: Array, b: Array, reach: float) -> Array:
     """`[A, 3], [B, 3] -> [A, B]`: 1 for the same action, 0 for far ones."""
     return jnp.exp(-0.5 * jnp.sum(((a[:, None] - b[None]) / reach) ** 2, -1))

@@ -8,6 +8,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.learners.naf_goals import GoalProblem
 from adaptsim_jax.tasks.scooping.bank import Bank, load_bank, points
@@ -40,7 +41,7 @@ from adaptsim_jax.tasks.scooping.trial import (
 
 
 def training_problem(
-    config: ScoopingConfig, draw: Callable[[jax.Array, Any], jax.Array], checks: int | None = None
+    config: ScoopingConfig, draw: Callable[[Array, Any], Array], checks: int | None = None
 ) -> GoalProblem:
     """What a NAF is trained on: places as goals, trials of the configured source at `draw(key,
     context) -> params [4]`.
@@ -85,14 +86,12 @@ def training_problem(
     return GoalProblem(place, place_input, stored, reward, worth if checks else None)
 
 
-def bank_chance(bank: Bank, params: jax.Array, action: jax.Array) -> jax.Array:
+def bank_chance(bank: Bank, params: Array, action: Array) -> Array:
     """Chance of success `[]` at `params [4]` of `action [3]` as executed, by the bank."""
     return jax.nn.sigmoid(bank.logit(params, action))
 
 
-def expected_odds(
-    bank: Bank, params: jax.Array, action: jax.Array, options: ScoopOptions
-) -> jax.Array:
+def expected_odds(bank: Bank, params: Array, action: Array, options: ScoopOptions) -> Array:
     """Log odds of success `[]` at `params [4]` when `action [3]` in [-1, 1] is asked for: of the
     mean chance over its errors, by Gauss's rule of two points for each.
     """
@@ -103,7 +102,7 @@ def expected_odds(
     return won - lost
 
 
-def bank_outcome(bank: Bank, params: jax.Array, action: jax.Array, won: jax.Array) -> jax.Array:
+def bank_outcome(bank: Bank, params: Array, action: Array, won: Array) -> Array:
     """An outcome `[9, 2]` as `make_trial`'s, of a trial of the bank that ended as `won []` says.
     The last height is 0.
     """
@@ -117,7 +116,7 @@ TRIED, OTHERS = 1024, 64  # actions, and other pieces, that are looked at
 
 def make_choice(
     config: ScoopingConfig, doubt: Doubt = Doubt()
-) -> Callable[[ScoopingPolicy, jax.Array], jax.Array]:
+) -> Callable[[ScoopingPolicy, Array], Array]:
     """`act(policy, contexts [..., >= 2]) -> [..., 3]` in [-1, 1]. A policy that was told of the
     target's scoops does what is likeliest to succeed by them and by the bank, the same in all
     contexts. Any other does what its network says, and probes last if it probes.
@@ -170,7 +169,7 @@ def make_probe(
 
 def make_search(
     config: ScoopingConfig, worth: Callable
-) -> Callable[[ScoopingPolicy, jax.Array, ScoopRecord], jax.Array]:
+) -> Callable[[ScoopingPolicy, Array, ScoopRecord], Array]:
     """`best(policy, own [N, 3], told) -> [3]`: of even actions, `own` and those told of, the one of
     the highest `worth(told, at_reported, tried, at_tried) -> [A]`.
     """

@@ -254,14 +254,6 @@ def _stiffness(s: Springs, law: _Law) -> tuple[Array, Array, Array]:
     )
 
 
-def cost(s: Springs, piece: PieceBody, free: Array, v: Array) -> Array:
-    """What is minimised, kg m^2/s^2; the solver itself needs only its slopes."""
-    law = _law(s, *_relative(s, v))
-    mass = jnp.stack([piece.mass, piece.mass, piece.inertia])
-    motion = jnp.sum(mass * (v - free) ** 2)
-    return 0.5 * (motion + _sum(law.normal**2 / s.stiff + law.tangent**2 / s.grip))
-
-
 def _slope(
     s: Springs, mass: Array, free: Array, v: Array, held: Array | float = 0.0
 ) -> tuple[Array, Array, list[list[Array]]]:

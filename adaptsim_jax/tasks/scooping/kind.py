@@ -5,7 +5,7 @@ iterations and films of them; and what `adaptsim robot` says and reads.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,18 +14,23 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, TaskKind
+from adaptsim_jax.logs.table import LogTable
+from adaptsim_jax.tasks.base import AdaptFace, AdaptView, Look, SessionTrials, TaskKind
+from adaptsim_jax.tasks.camera_record import row_namer
 from adaptsim_jax.tasks.robot_trials import AskedTrials, History, TrialSessions, config_of
-from adaptsim_jax.tasks.scooping import hydro
+from adaptsim_jax.tasks.scooping import hydro, measured
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import checked
+from adaptsim_jax.tasks.scooping.deployed import make_probe
+from adaptsim_jax.tasks.scooping.diagnosis.read import assemble
 from adaptsim_jax.tasks.scooping.engines import BACKENDS, PARITY
+from adaptsim_jax.tasks.scooping.model import SECONDS
+from adaptsim_jax.tasks.scooping.motion import check_way
 from adaptsim_jax.tasks.scooping.one_shot import make_scooping_one_shot
 from adaptsim_jax.tasks.scooping.task import ScoopingConfig, make_scooping
 
 if TYPE_CHECKING:
     from adaptsim_jax.commands.robot_session import RobotSession
-    from adaptsim_jax.logs.table import LogTable
 
 
 SYMBOLS = {"mu": "μ piece", "e": "e (Pa)", "g": "shape", "h": "h (m)"}
@@ -102,30 +107,6 @@ with columns trial, time, x, y, on (s since the arm's start; m; 1 where the piec
 COLUMNS = ("place_x", "place_y", "pitch", "rate", "distance")
 
 
-def measured() -> Any:
-    from adaptsim_jax.tasks.scooping import measured
-
-    return measured
-
-
-def assemble() -> Callable[..., Any]:
-    """Reads scoops; each track is counted from where its piece lay."""
-    from adaptsim_jax.tasks.scooping.diagnosis.read import assemble
-
-    return partial(assemble, own_frame=True)
-
-
-def how(config: Any) -> str:
-    from adaptsim_jax.tasks.scooping.model import SECONDS
-
-    return HOW.format(seconds=SECONDS)
-
-
-def asked(place: Any, action: Any) -> str:
-    """A scoop and its place in words."""
-    return f"{in_words(action)}   (piece at {place[0]:+.3f}, {place[1]:+.3f} m)"
-
-
 def in_words(action: Any) -> str:
     """An action `[3]` in words."""
     pitch, rate, distance = map(float, action)
@@ -135,69 +116,61 @@ def in_words(action: Any) -> str:
     )
 
 
-def came(trajectory: Any) -> Iterator[str]:
-    """Which scoops succeeded."""
-    for success in trajectory.success:
-        yield "on the spatula" if success > 0.5 else "not on the spatula"
+class ScoopSessions(TrialSessions):
+    """Scoops of a piece, tracked by a camera."""
 
+    trials = "scoops"
+    columns = COLUMNS
+    measured = measured
+    keys = ("place", "action", "points", "success")
+    result = "success"
+    read_again = ("place", "action")
 
-def visits(config: Any) -> Callable[[Any], Any] | None:
-    """Where the policy is corrected, the last scoop of an iteration is a probe."""
-    import jax
+    @property
+    def recorded(self) -> SessionTrials:
+        """Each track is counted from where its piece lay."""
+        head = ",".join(("trial", *COLUMNS))
+        own_frame = partial(assemble, own_frame=True)
+        return SessionTrials(head, self.rows_again, ("clearance",), own_frame)
 
-    from adaptsim_jax.tasks.scooping.deployed import make_probe
+    def how(self, config: Any) -> str:
+        return HOW.format(seconds=SECONDS)
 
-    return jax.jit(make_probe(config)) if config.correct else None
+    def asked(self, context: Any, action: Any) -> str:
+        return f"{in_words(action)}   (piece at {context[0]:+.3f}, {context[1]:+.3f} m)"
 
+    def came(self, trajectory: Any) -> Iterator[str]:
+        """Which scoops succeeded."""
+        for success in trajectory.success:
+            yield "on the spatula" if success > 0.5 else "not on the spatula"
 
-def trajectory(
-    session: RobotSession, state: Any, scoops: AskedTrials, table: LogTable, path: Path
-) -> Any:
-    """The trajectory of the scoops that were asked for, by a camera's `table`."""
-    import numpy as np
+    def ended(self, trial: Mapping[str, Any]) -> Any:
+        return trial["success"]
 
-    from adaptsim_jax.tasks.camera_record import row_namer
-    from adaptsim_jax.tasks.scooping.motion import check_way
+    def visiting(self, config: Any) -> Callable[[Any], Any] | None:
+        """Where the policy is corrected, the last scoop of an iteration is a probe."""
+        return jax.jit(make_probe(config)) if config.correct else None
 
-    found = measured().measured_trajectory(
-        table.columns, row_namer(path, table), str(path), scoops, session.as_declared
-    )
-    if not session.as_declared:
-        check_way(np.asarray(found.points[:, -1], float), str(path), scoops.numbers.tolist())
-    return found
+    def trajectory(
+        self, session: RobotSession, tried: Any, asked: AskedTrials, table: LogTable, path: Path
+    ) -> Any:
+        where = str(path)
+        found = measured.measured_trajectory(table.columns, row_namer(path, table), where, asked)
+        if not session.as_declared:
+            check_way(np.asarray(found.points[:, -1], float), where, asked.numbers.tolist())
+        return found
 
-
-def finish(session: RobotSession, policy: Any, history: History) -> None:
-    """How the best policy is used."""
-    action = measured().scoop_in_the_middle(policy, config_of(session))
-    if policy.told is not None:
-        print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
-    print(f"its scoop for a piece in the middle: {in_words(action)}; for any other place (m):")
-    print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
-    print(
-        f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
-        "0.02])"
-    )
-
-
-ROBOT = TrialSessions(
-    trials="scoops",
-    columns=COLUMNS,
-    how=how,
-    measured=measured,
-    keys=("place", "action", "points", "success"),
-    result="success",
-    ended=lambda scoop: scoop["success"],
-    asked=asked,
-    came=came,
-    trajectory=trajectory,
-    finish=finish,
-    visits=visits,
-    recorded=("place", "action"),
-    head="trial,place_x,place_y,pitch,rate,distance",
-    options=("clearance",),
-    assemble=assemble,
-).face()
+    def finish(self, session: RobotSession, policy: Any, history: History) -> None:
+        """How the best policy is used."""
+        action = measured.scoop_in_the_middle(policy, config_of(session))
+        if policy.told is not None:
+            print(f"its scoop is corrected by the {len(policy.told.used)} scoops told")
+        print(f"its scoop for a piece in the middle: {in_words(action)}; for any other place (m):")
+        print("  from adaptsim_jax.tasks.scooping.measured import read_policy")
+        print(
+            f"  pitch, rate, distance = read_policy({str(session.folder / 'best.toml')!r})([0.01, "
+            "0.02])"
+        )
 
 
 TASK = TaskKind(
@@ -205,7 +178,7 @@ TASK = TaskKind(
     make_scooping,
     make_scooping_one_shot,
     adapt=ADAPT,
-    robot=ROBOT,
+    robot=ScoopSessions(),
     symbols=SYMBOLS,
     backends=BACKENDS,
     parity=PARITY,

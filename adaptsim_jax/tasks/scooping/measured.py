@@ -7,7 +7,7 @@ arm's start, and the piece's place on the table with x along the spatula's way. 
 take is refused with the row.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -16,15 +16,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import camera_record as record
+from adaptsim_jax.tasks.camera_record import Columns, RowName
 from adaptsim_jax.tasks.one_shot import read_saved
-from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, record_of_trials
+from adaptsim_jax.tasks.robot_trials import AskedTrials, asked_trials, corrected_by
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping import task as scooping
 from adaptsim_jax.tasks.scooping.config import ScoopingConfig, ScoopingPolicy, ScoopingTrajectory
 from adaptsim_jax.tasks.scooping.corrections import ScoopRecord
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored
+from adaptsim_jax.tasks.scooping.motion import KIND
 from adaptsim_jax.tasks.trial_record import asked_tracks
 
 COLUMNS = ("trial", "time", "x", "y", "on")
@@ -52,17 +54,17 @@ def corrected(
     """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]`
     (1 or 0) succeeded: corrected by them where the task does that (`correct`), else as it is.
     """
-    if not config.correct or not len(actions):
+    if not config.correct:
         return policy
     bounds = (model.ACTION_LOW, model.ACTION_HIGH)
-    return policy._replace(told=record_of_trials(ScoopRecord, bounds, actions, won))
+    return corrected_by(policy, ScoopRecord, bounds, actions, won)
 
 
-def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> dict[str, Any]:
+def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> Table:
     """What a file holds of a policy for `read_policy`: its network and, where it is corrected, the
     scoop that it makes wherever the piece lies (rad, rad/s, m).
     """
-    table: dict[str, Any] = {
+    table: Table = {
         "hidden": list(config.hidden),
         "policy": {"weights": policy.weights.tolist()},
     }
@@ -104,18 +106,16 @@ def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:
 
 
 def measured_trajectory(
-    columns: Mapping[str, np.ndarray],
-    at: Callable[[int], str],
+    columns: Columns,
+    at: RowName,
     where: str,
     scoops: AskedTrials,
-    as_declared: bool = False,
 ) -> ScoopingTrajectory:
     """The trajectory of `scoops` as the task observes and rewards it, from `columns` trial, time,
     x, y, on of `[T]` each.
 
     `at(i)` names row i in a message, `where` the file. Places are interpolated at the task's eight
-    times and counted from where the piece lay. as_declared: Whatever they say of the frame.
-    Raises BadInput.
+    times and counted from where the piece lay. Raises BadInput.
     """
     needed = (COLUMNS, "s, m, 0 or 1")
     trials = asked_tracks(columns, (where, at), scoops.numbers, KIND, needed, 50 * model.SECONDS)
@@ -124,8 +124,6 @@ def measured_trajectory(
             f"{at(i)}: on = {columns['on'][i]:g}; write 1 where the piece lies on the spatula, "
             "else 0"
         )
-    if not as_declared:
-        check_mirrored(scoops.contexts[:, 1], np.array([t.track[0, 1] for t in trials]), where)
     points, lies = [], []
     for rows, time, track, given in trials:
         _check_track(time, track, given)
@@ -136,7 +134,7 @@ def measured_trajectory(
     return ScoopingTrajectory(jnp.asarray(np.stack(points), jnp.float32), success, success.mean())
 
 
-def _check_track(time: np.ndarray, track: np.ndarray, given: Callable[[int], str]) -> None:
+def _check_track(time: np.ndarray, track: np.ndarray, given: RowName) -> None:
     """A piece seen from the arm's start to the end of the trial, that never jumped."""
     if time[0] > LATE:
         raise BadInput(

@@ -120,34 +120,13 @@ class WayCriteria:
     Args:
         way: m that a piece must have gone for its way to count.
         ahead: Cosine of its way and the spatula's: less is another frame.
-        wide: m over which pieces must have been laid for a mirror to show.
     """
 
     way: float = 0.03
     ahead: float = 0.5
-    wide: float = 0.02
 
 
 WAY = WayCriteria()
-
-
-def check_mirrored(declared: np.ndarray, observed: np.ndarray, where: str) -> None:
-    """BadInput where pieces declared to lie `declared [N]` m to the left were seen as far to the
-    right, `seen [N]`, from anywhere.
-    """
-
-    def spread(v):
-        return float(np.median(np.abs(v - np.median(v))))
-
-    if (
-        len(observed) > 1
-        and np.ptp(declared) > WAY.wide
-        and spread(observed + declared) < 0.3 * spread(observed - declared)
-    ):
-        raise BadInput(
-            f"{where}: pieces lie to the right where they are declared to the left: tracks are "
-            "mirrored; turn the sign of y (or of place_y); if all is as declared, add --as-declared"
-        )
 
 
 def check_way(went: np.ndarray, where: str, names: Sequence[float]) -> None:

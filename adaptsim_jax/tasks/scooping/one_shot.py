@@ -6,8 +6,10 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.core import config as configs
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.learners.naf_goals import Trials, make_goal_learner
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld, action_grid, naf_policies
 from adaptsim_jax.tasks.scooping import engines as backends
@@ -41,7 +43,7 @@ def make_scooping_one_shot(config: ScoopingConfig) -> OneShot:
     def trials(contexts, actions, outcomes):
         return Trials(contexts[:, :2], actions, task.success(outcomes)[:, None])
 
-    policies: dict[str, Any] = naf_policies(
+    policies: Table = naf_policies(
         naf, learner, config.trials, config.training, ScoopingPolicy, task.place_input, trials
     )
     policies["act"] = make_choice(config)
@@ -132,13 +134,13 @@ def best_shared_action(world: TargetWorld, params: np.ndarray, tests: np.ndarray
     return rewards[rewards.mean(1).argmax()]
 
 
-def _own_score(trajectory: ScoopingTrajectory) -> jax.Array:
+def _own_score(trajectory: ScoopingTrajectory) -> Array:
     """The return of the policy's own scoops: the last was a probe's."""
     return trajectory.success[:-1].mean()
 
 
 def _remember(
-    policy: ScoopingPolicy, actions: jax.Array, outcomes: jax.Array, used: jax.Array
+    policy: ScoopingPolicy, actions: Array, outcomes: Array, used: Array
 ) -> ScoopingPolicy:
     return policy._replace(told=ScoopRecord(actions, task.success(outcomes), used))
 

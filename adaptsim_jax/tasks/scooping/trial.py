@@ -13,11 +13,12 @@ estimator, which needs outcomes alone.
 
 import functools
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import Array
 
 from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping.config import ScoopingTrajectory
@@ -34,20 +35,20 @@ camera's noise is drawn with.
 _SPAN = 0.15  # m: places seen are divided by it
 
 
-def draw_context(key: jax.Array) -> jax.Array:
+def draw_context(key: Array) -> Array:
     """A context `[5]` of a trial; see `CONTEXT`."""
     u = jax.random.uniform(key, (CONTEXT,))
     place = (2.0 * u[:2] - 1.0) * jnp.asarray(PLACES, u.dtype)
     return jnp.concatenate([place, 2.0 * u[2:4] - 1.0, u[4:]])
 
 
-def place_input(context: jax.Array) -> jax.Array:
+def place_input(context: Array) -> Array:
     """What the policy sees of `contexts [..., >= 2]`: the place, in [-1, 1]."""
     lead = (1,) * (context.ndim - 1)
     return context[..., :2] / jnp.asarray(PLACES, context.dtype).reshape(*lead, 2)
 
 
-def executed(action: jax.Array, context: jax.Array, options: ScoopOptions) -> jax.Array:
+def executed(action: Array, context: Array, options: ScoopOptions) -> Array:
     """What is done when `action [3]` in [-1, 1] is asked for: (pitch rad, rate rad/s, distance m),
     with the context's errors.
     """
@@ -55,9 +56,7 @@ def executed(action: jax.Array, context: jax.Array, options: ScoopOptions) -> ja
     return model.physical_action(action) + errors * jnp.asarray(options.noise, action.dtype)
 
 
-def make_trial(
-    options: ScoopOptions, numerics: Numerics
-) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+def make_trial(options: ScoopOptions, numerics: Numerics) -> Callable[[Array, Array, Array], Array]:
     """`trial(params [4], action [3], context [5]) -> outcome [9, 2]` in the engine: eight places m
     from where the piece lay, and (success, height over the tip's plane m). Not-a-number, success 0,
     where the engine reports a fault.
@@ -75,7 +74,7 @@ def make_trial(
 
 
 @functools.cache
-def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax.Array], jax.Array]:
+def make_mjx_trial(options: ScoopOptions) -> Callable[[Array, Array, Array], Array]:
     """The same in the MuJoCo scene, in MJX. Not-a-number for pieces and actions that the scene is
     not made for, too.
     """
@@ -113,14 +112,14 @@ def make_mjx_trial(options: ScoopOptions) -> Callable[[jax.Array, jax.Array, jax
     return trial
 
 
-def success(outcome: jax.Array) -> jax.Array:
+def success(outcome: Array) -> Array:
     """`[...]`: 1 where the piece of `outcome [..., 9, 2]` lies on the spatula at the end; 0 where
     it is not finite.
     """
     return jnp.where(outcome[..., -1, 0] > 0.5, 1.0, 0.0)
 
 
-def camera_view(points: jax.Array, context: jax.Array, camera: tuple[float, ...]) -> jax.Array:
+def camera_view(points: Array, context: Array, camera: tuple[float, ...]) -> Array:
     """`points [8, 2]` m as the camera sees them: blurred ahead, and noisy (paper, appendix). The
     context seeds the noise.
     """
@@ -130,10 +129,10 @@ def camera_view(points: jax.Array, context: jax.Array, camera: tuple[float, ...]
 
 
 def measured(
-    contexts: jax.Array,
-    outcomes: jax.Array,
+    contexts: Array,
+    outcomes: Array,
     camera: tuple[float, ...],
-    tested: jax.Array | None = None,
+    tested: Array | None = None,
 ) -> ScoopingTrajectory:
     """The trajectory of `N` trials in `contexts [N, 5]` from their `outcomes [N, 9, 2]`, of any
     engine.
@@ -143,7 +142,7 @@ def measured(
     return ScoopingTrajectory(points, lies, lies.mean() if tested is None else tested)
 
 
-def observed(trajectory: ScoopingTrajectory) -> jax.Array:
+def observed(trajectory: ScoopingTrajectory) -> Array:
     """`[obs_dim]`: places along and across the table in units of 15 cm; far out they are held at
     4.
     """
@@ -164,7 +163,6 @@ def test_contexts(count: int) -> np.ndarray:
 test_contexts.__test__ = False  # type: ignore[attr-defined]  # for pytest, which collects by name
 
 
-Array = Any
 RANGES = (0.15, float(np.log(50.0)), 0.01, float(np.radians(8.0)), 0.4, 0.015)
 """Omega's and the actions' ranges: friction, log modulus, height m, pitch rad, rate rad/s, distance
 m.

@@ -3,10 +3,10 @@ model.
 """
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis import rows as parts
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
@@ -105,7 +105,7 @@ def left(follow: Follow, model: Model) -> np.ndarray:
 
 def reported(
     tossed: Tossed, problem: Problem, follow: Follow, found: Finding, criteria: Criteria
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[Table, Table]:
     """The report, and the arrays behind its page."""
     both = (("before", found.null), ("after", found.final))
     over = {k: left(follow, m) for k, m in both}
@@ -168,7 +168,7 @@ def _model(tossed: Tossed) -> str:
 
 
 def headline(
-    found: Finding, over: dict[str, float], error: dict[str, Any], whole, flown: Flight | None
+    found: Finding, over: dict[str, float], error: Table, whole, flown: Flight | None
 ) -> Headline:
     """Sentences of the message. over: what is left of windows over the noise; whole: errors [m] of
     whole tosses, None where there is none.
@@ -197,7 +197,7 @@ def headline(
     return Headline(declared, mended, more)
 
 
-def _flight(flown: Flight) -> dict[str, Any]:
+def _flight(flown: Flight) -> Table:
     return {
         "gravity": {"value": flown.gravity, "low": flown.low, "high": flown.high, "unit": "m/s^2"},
         "declared": flown.declared,
@@ -208,7 +208,7 @@ def _flight(flown: Flight) -> dict[str, Any]:
     }
 
 
-def _error(tossed: Tossed, follow: Follow, tracks: dict[str, np.ndarray]) -> dict[str, Any]:
+def _error(tossed: Tossed, follow: Follow, tracks: dict[str, np.ndarray]) -> Table:
     w, trials = follow.windows, len(tossed.names)
     rows = np.bincount(w.toss, w.mask.sum(1), trials)
 
@@ -240,7 +240,7 @@ def _joined(follow: Follow, toss: int, rows: np.ndarray) -> np.ndarray:
     return np.concatenate([z for part in cut for z in (part, gap)][:-1])
 
 
-def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict[str, Any]]:
+def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[Table]:
     out, w = [], follow.windows
     begun = np.stack([tossed.time[t][a] for t, a in zip(w.toss, w.first, strict=True)])
     clock = begun[:, None] + w.time
@@ -265,7 +265,7 @@ def _held_out(tossed: Tossed, follow: Follow, tracks, mended: bool) -> list[dict
     return out
 
 
-def _from_above(follow: Follow, tracks, mended: bool) -> dict[str, Any]:
+def _from_above(follow: Follow, tracks, mended: bool) -> Table:
     trials = range(len(follow.tossed.names))
 
     def cut(z):

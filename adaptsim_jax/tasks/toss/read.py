@@ -5,16 +5,15 @@ judged is refused with its row.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.logs.noise import difference_noise
 from adaptsim_jax.logs.table import read_table
 from adaptsim_jax.mechanisms.quaternions import between, continuous, rotated
 from adaptsim_jax.tasks import camera_record as record
-from adaptsim_jax.tasks.toss.blows import check_blows
 from adaptsim_jax.tasks.toss.body import TossedBody, read_body
 from adaptsim_jax.tasks.trial_record import read_meta
 
@@ -135,7 +134,6 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
     time, place, turn = (tuple(found[n][k] for n in names) for k in range(3))
     if not as_declared:
         _check_frame(body, names, time, place, turn, where)
-        check_blows(body, time, place, turn, str(where))
     noise, noise_turn, source = _noise(meta, where, place, turn)
     return Tossed(
         names, time, place, turn, noise, noise_turn, source, body, tuple(dict.fromkeys(notes))
@@ -193,7 +191,6 @@ def _one(time: np.ndarray, place: np.ndarray, turn: np.ndarray, trials) -> tuple
         )
     gaps = np.diff(time)
     record.check_leaps(time, place, trials, "the body", TOSS.fastest)
-    record.check_clock_set(time, place, trials, "the body")
     turn = continuous(turn)
     spun = np.linalg.norm(between(turn[:-1], turn[1:]), axis=1)
     for k in np.flatnonzero((spun > TOSS.spin * gaps) & (spun > 0.5))[:1] + 1:
@@ -256,7 +253,7 @@ def lowest(place: np.ndarray, turn: np.ndarray, corners: np.ndarray) -> np.ndarr
     return (place[:, None] + rotated(turn[:, None], corners[None]))[..., 2].min(1)
 
 
-def _noise(meta: dict[str, Any], where: Path, place, turn) -> tuple[float, float, str]:
+def _noise(meta: Table, where: Path, place, turn) -> tuple[float, float, str]:
     """Of one coordinate, as declared or by third differences, which motion hardly has at these
     rates outside of impacts.
     """

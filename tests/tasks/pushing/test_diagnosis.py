@@ -138,6 +138,7 @@ def test_a_session_is_read_from_the_files_that_were_told(tmp_path, tracks):
         extra={"history": [visit]},
     )
     table = {"schema": store.SCHEMA, "version": __version__, "run": str(run.path)}
+    table |= {"run_from_here": "../run", "trained": {}}
     config.write(session / "robot.toml", table | {"seed": 0, "starts": 1, "iterations": 1})
     pushed = recorded_trials(session)
     assert pushed.coefficients == DRAKE

@@ -5,21 +5,20 @@ and the push that tells more.
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.finding import Finding
-from adaptsim_jax.diagnosis.fit import fitted
 from adaptsim_jax.diagnosis.problem import Problem
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import keeping
 from adaptsim_jax.mend.model_toml import Form, Value
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.diagnosis.catalogue import effects_of, grain
-from adaptsim_jax.tasks.pushing.diagnosis.problem import TURNING, prepare, simulated
+from adaptsim_jax.tasks.pushing.diagnosis.problem import prepare, simulated
 from adaptsim_jax.tasks.pushing.diagnosis.read import Pushed, read
 from adaptsim_jax.tasks.pushing.frame import KIND
 from adaptsim_jax.tasks.pushing.planar import DRAKE
@@ -41,10 +40,6 @@ CRITERIA = Criteria(lacks_nothing=1.14, beyond=0.9, tried=6)
 hidden, of which effects take off 30 to 85 %. With four tried, a drag lost its place to another
 mass, whose first step gains as much.
 """
-MIRRORED = 4.0
-"""Times by which yaw of the other sign must leave less of the squared error to be taken for
-mirrored.
-"""
 
 
 def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path | None):
@@ -63,7 +58,6 @@ def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
     noise = {"m": p.noise, "source": p.noise_source} | ({"rad": p.noise_yaw} if turns else {})
     made = TracksFound("pushing", MODEL, observed, problem, found, tracks, list(p.notes))
     report, evidence = reported(made, criteria, noise=noise)
-    report["message"] += _mirrored(pushed, made, criteria)
     for row in report["effects"]:
         if row["name"] == "grain":
             row["ratio"], row["smooth_direction_rad"] = grain(
@@ -71,28 +65,6 @@ def assess(pushed: Pushed, effects, criteria: Criteria, progress, folder: Path |
             )
     plan = informative_pushes(pushed, found)
     return report, evidence, plan, mended_model(pushed, problem, found), {}
-
-
-def _mirrored(pushed: Pushed, made: TracksFound, criteria: Criteria) -> str:
-    """A sentence where a bottle that turns would be followed far better if it turned the other
-    way.
-    """
-    problem, found = made.problem, made.found
-    if pushed.yaw is None or made.worst <= criteria.explained:
-        return ""
-    other = prepare(
-        replace(pushed, yaw=-pushed.yaw), pushed.options, pushed.coefficients, problem.effects
-    )
-    values = found.null.fit.values.copy()
-    values[problem.index["spin"]] = 1.0
-    _, loss = fitted(other, (*problem.declared, *TURNING), values, criteria.rounds)
-    if MIRRORED * loss > found.final.fit.loss:
-        return ""
-    left = (loss / problem.counts.sum()) ** 0.5
-    return (
-        f" Yaw looks mirrored: turned the other way it is followed to {left:.1f} times the noise "
-        "floor; give it positive to the left (seen from above)."
-    )
 
 
 def mended_model(pushed: Pushed, problem: Problem, found: Finding) -> Form:
@@ -118,7 +90,7 @@ GRID = (5, 13)
 """Speeds and angles of the pushes that a next one is chosen from."""
 
 
-def informative_pushes(pushed: Pushed, found: Finding) -> dict[str, Any] | None:
+def informative_pushes(pushed: Pushed, found: Finding) -> Table | None:
     """The pushes of a grid that tell a named effect and its look-alikes apart; see `next_trials`.
 
     None where nothing that was named has look-alikes. Lengths may be scaled by a parallax too,

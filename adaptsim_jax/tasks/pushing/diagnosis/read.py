@@ -2,16 +2,17 @@
 refused with its row.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
+from adaptsim_jax.tasks.camera_record import Columns, RowName
 from adaptsim_jax.tasks.pushing import model
 from adaptsim_jax.tasks.pushing.frame import KIND, check_each, check_frame, check_order
 from adaptsim_jax.tasks.pushing.model import PushOptions
@@ -76,7 +77,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
 def assemble(
     actions: Path,
     tracks: list[Path],
-    meta: dict[str, Any],
+    meta: Table,
     where: Path,
     as_declared: bool = False,
     without: Sequence[str] = (),
@@ -110,7 +111,7 @@ def assemble(
     )
 
 
-def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
+def _check_actions(c: Columns, trials: RowName) -> None:
     """BadInput at a push that no arm makes."""
     for i, (speed, angle) in enumerate(zip(c["speed"], c["angle"], strict=True)):
         if not 0.1 <= speed <= 2.0:
@@ -124,7 +125,7 @@ def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
             )
 
 
-def _turns(time, yaw, mask, meta: dict[str, Any], where: Path) -> dict[str, Any]:
+def _turns(time, yaw, mask, meta: Table, where: Path) -> Table:
     """yaw, turned and noise_yaw of `Pushed`. A marker sits as it was glued on, so each push is
     counted from its first rows.
     """

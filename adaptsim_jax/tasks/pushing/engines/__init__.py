@@ -9,10 +9,10 @@ velocity in rows (`scene.STATE`). Codes are `pushing.MESSAGES`; states are finit
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.engine import (
     EngineRun,
@@ -47,7 +47,7 @@ ENGINES = ("native", "mjx", "planar", "drake", "drake_other_step")
 
 def pushing_parity(
     samples: int = 32, seed: int = 0, progress: Report = silent, options: PushOptions = PAPER
-) -> dict[str, Any]:
+) -> Table:
     """Final positions of `samples` random pushes in every engine that is installed.
 
     `engines` has a row each: speed, codes, or why it did not run; `pairs` the differences of final
@@ -79,11 +79,11 @@ def _run(simulate: Callable, batch: tuple, name: str) -> EngineRun:
     )
 
 
-def _row(run: EngineRun) -> dict[str, Any]:
+def _row(run: EngineRun) -> Table:
     return speed_row(run, "pushes", pushing.MESSAGES)
 
 
-def _distances(a: EngineRun, b: EngineRun) -> dict[str, Any]:
+def _distances(a: EngineRun, b: EngineRun) -> Table:
     good = (a.code == pushing.FINE) & (b.code == pushing.FINE)
     if not good.any():
         return {"compared": 0}
@@ -95,7 +95,7 @@ def _distances(a: EngineRun, b: EngineRun) -> dict[str, Any]:
     }
 
 
-def parity_lines(found: dict[str, Any]) -> list[str]:
+def parity_lines(found: Table) -> list[str]:
     """The results of `pushing_parity` for a person."""
     keys = ("median_mm", "p90_mm", "p99_mm", "max_mm")
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.written import keeping
@@ -88,7 +88,7 @@ PLACE = (0.03, 0.02)
 """m: away from the middle, where a scale and a turn show."""
 
 
-def informative_scoops(scooped: Scooped, found: Found) -> dict[str, Any] | None:
+def informative_scoops(scooped: Scooped, found: Found) -> Table | None:
     """The scoops of a grid that tell a named effect and its look-alikes apart; see `next_trials`.
     Noise is what the camera and the copies of a scoop scatter by.
 

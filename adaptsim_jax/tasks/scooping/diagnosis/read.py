@@ -2,7 +2,7 @@
 refused with its row.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
+from adaptsim_jax.tasks.camera_record import Columns, RowName
 from adaptsim_jax.tasks.scooping import model
 from adaptsim_jax.tasks.scooping.model import ScoopOptions, check_options
-from adaptsim_jax.tasks.scooping.motion import KIND, check_mirrored, check_way
+from adaptsim_jax.tasks.scooping.motion import KIND, check_way
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
 
 KEYS = ("schema", "task", "shape", "height", "clearance", "press", "repeats", "note", "noise")
@@ -52,7 +54,7 @@ def read(folder: str | Path, as_declared: bool = False, without: Sequence[str] =
 def assemble(
     actions: Path,
     tracks: list[Path],
-    meta: dict[str, Any],
+    meta: Table,
     where: Path,
     as_declared: bool = False,
     without: Sequence[str] = (),
@@ -68,8 +70,6 @@ def assemble(
     starts, acts = trials.stacked("place_x", "place_y"), trials.stacked(*_LIMITS)
     given = {k: float(meta[k]) for k in ("clearance", "press") if k in meta}
     options = check_options(replace(ScoopOptions(), **given))
-    if not as_declared:
-        check_mirrored(starts[:, 1], np.array([found[n].places[0, 1] for n in names]), str(where))
     trial_record.check_spacing(names, found)
     if own_frame:
         found |= _moved(names, found, starts)
@@ -90,7 +90,7 @@ def assemble(
     return Scooped(**fields, **piece, actions=acts, places=places, options=options)
 
 
-def _check_actions(c: Mapping[str, np.ndarray], trials: Callable) -> None:
+def _check_actions(c: Columns, trials: RowName) -> None:
     """BadInput at a scoop that no arm makes."""
     for name, (low, high, unit) in _LIMITS.items():
         for i in np.flatnonzero((c[name] < low) | (c[name] > high))[:1]:
@@ -113,7 +113,7 @@ def _moved(names: Sequence[float], found: trial_record.Tracks, starts: np.ndarra
     return moved
 
 
-def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]:
+def _piece(meta: Table, where: Path) -> tuple[str | None, float | None]:
     shape, height = meta.get("shape"), meta.get("height")
     if shape is not None:
         config.pick("shape", shape, model.SHAPES)
@@ -125,7 +125,7 @@ def _piece(meta: dict[str, Any], where: Path) -> tuple[str | None, float | None]
     return shape, None if height is None else float(height)
 
 
-def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
+def _repeats(meta: Table, where: Path) -> tuple[float, ...]:
     given = meta.get("repeats", REPEATS)
     if len(given) != 3 or not all(isinstance(v, int | float) and 0 < v < 0.1 for v in given):
         raise BadInput(
@@ -135,7 +135,7 @@ def _repeats(meta: dict[str, Any], where: Path) -> tuple[float, ...]:
     return tuple(map(float, given))
 
 
-def _check_frame(trials: trial_record.ReadTrials, arrays: Mapping[str, np.ndarray]) -> None:
+def _check_frame(trials: trial_record.ReadTrials, arrays: Columns) -> None:
     """BadInput where tracks are of another frame, before anything is fitted."""
     aside, where = arrays["aside"], trials.files.where
     x, y = np.median(aside, 0)

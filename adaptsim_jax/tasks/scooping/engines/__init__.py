@@ -10,10 +10,10 @@ holds, in rows of 10 ms, the piece's x, y, z m and the tip's x, z m and pitch ra
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import Report, silent
 from adaptsim_jax.tasks.engine import (
     EngineRun,
@@ -44,7 +44,7 @@ numerics.
 """
 _LOW = {"relaxation": LOW_RELAXATION}
 _FINER = {"resolution": 0.003}
-SETTINGS: dict[str, dict[str, Any]] = {
+SETTINGS: dict[str, Table] = {
     "hydro": {},
     "drake": {},
     "drake_finer_mesh": {"contact": _FINER},
@@ -57,7 +57,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
 }
 
 
-def scooping_parity(samples: int = 32, seed: int = 0, progress: Report = silent) -> dict[str, Any]:
+def scooping_parity(samples: int = 32, seed: int = 0, progress: Report = silent) -> Table:
     """Success or failure of `samples` random trials in every engine that is installed.
 
     `engines` has a row each: success by shape, speed, codes, or why it did not run; `pairs` the
@@ -88,7 +88,7 @@ def _run(simulate: Callable, batch: tuple, name: str) -> EngineRun:
     return timed_run(simulate, batch, outcome, compiles=not name.startswith("drake"))
 
 
-def _row(run: EngineRun, shape: np.ndarray) -> dict[str, Any]:
+def _row(run: EngineRun, shape: np.ndarray) -> Table:
     def share(rows):
         if rows.any():
             return float(run.outcome[rows].mean())
@@ -99,7 +99,7 @@ def _row(run: EngineRun, shape: np.ndarray) -> dict[str, Any]:
     return success | speed_row(run, "trials", model.MESSAGES)
 
 
-def _alike(a: EngineRun, b: EngineRun) -> dict[str, Any]:
+def _alike(a: EngineRun, b: EngineRun) -> Table:
     good = (a.code == model.FINE) & (b.code == model.FINE)
     count = int(good.sum())
     if not count:
@@ -116,7 +116,7 @@ def _alike(a: EngineRun, b: EngineRun) -> dict[str, Any]:
     }
 
 
-def parity_lines(found: dict[str, Any]) -> list[str]:
+def parity_lines(found: Table) -> list[str]:
     """The results of `scooping_parity` for a person."""
 
     def interval(row):
