@@ -149,7 +149,6 @@ def fit_values(
     relief: float = DAMPING_DOWN,
     done: Callable[[Point, Point, int], bool] = fell,
     taken: Callable[[Point], Point] = lambda point: point,
-    stuck: Callable[[Point], Point | None] = lambda point: None,
 ) -> FitEnd:
     """Damped steps of values, each from a linearisation, while they lower the loss.
 
@@ -161,9 +160,7 @@ def fit_values(
         relief: times the damping after a step that gained.
         done: whether the second point after so many rounds is good enough for an end.
         taken: what becomes of a point that was taken (new weights).
-        stuck: another point to go on from where no step helps, if there is one.
     """
-    first = damping
     for k in range(rounds):
         step, trial = around(point), None
         for _ in range(MAX_DAMPINGS):
@@ -176,11 +173,7 @@ def fit_values(
                 break
             damping = max(DAMPING_UP * damping, FIRST_DAMPING)
         if trial is None:
-            other = stuck(point)
-            if other is None:
-                return FitEnd(point, "converged" if k and damping > MAX_DAMPING else "stuck", k)
-            point, damping = other, first
-            continue
+            return FitEnd(point, "converged" if k and damping > MAX_DAMPING else "stuck", k)
         ended = done(point, trial, k + 1)
         point, damping = taken(trial), max(relief * damping, MIN_DAMPING)
         if ended:
