@@ -79,16 +79,6 @@ def _rigid_push(c, theta, q, v):
     return jnp.stack([f1, f2])
 
 
-def _rigid_momentum_push(c, theta, q, v):
-    """dL/dq and the viscous force: what changes the momentum M v when no torque acts."""
-    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
-    bend = c["l1"] * theta[3] * elbow
-    g1, g2 = _rigid_weight(c, theta, first, second)
-    f1 = g1 - theta[4] * v[0]
-    f2 = g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]
-    return jnp.stack([f1, f2])
-
-
 def _linear_mass(c, theta, q):
     m1, m2 = theta[0], theta[1]
     return (m1 + 4.0 * m2, 2.0 * m2), (2.0 * m2, m2)
@@ -129,7 +119,6 @@ def linearized_pendulum(
         _linear_mass,
         _linear_push,
         _linear_gravity,
-        _linear_push,
         constants,
         low,
         high,
@@ -168,7 +157,6 @@ def rigid_pendulum(
         _rigid_mass,
         _rigid_push,
         _rigid_gravity,
-        _rigid_momentum_push,
         {k: np.asarray(float(v)) for k, v in constants.items()},
         low,
         high,
