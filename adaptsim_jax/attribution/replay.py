@@ -37,6 +37,7 @@ from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
+from adaptsim_jax.diagnosis.straight import doing_nothing
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
@@ -320,7 +321,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
     if not n and found.base is not None:  # nothing but a body that flies
         names, kinds, error = ("base, place", "base, turn"), ("slide", "hinge"), found.base
         measured = simulated = mask = np.zeros((*s.time.shape, 2))
-    line, still = lines_of(s.time, measured, mask)
+    line, still = doing_nothing(s.time, measured, mask)
     return Replay(
         names,
         kinds,
@@ -336,27 +337,6 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         line,
         still,
     )
-
-
-def lines_of(
-    time: np.ndarray, measured: np.ndarray, mask: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen,
-    rms.
-    """
-    count = np.maximum(mask.sum(1), 1)
-
-    def mean(z):
-        return (z * mask).sum(1) / count
-
-    off = measured - mean(measured)[:, None]
-    t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]
-    slope = mean(t * off) / np.maximum(mean(t * t), 1e-12)
-
-    def rms(z):
-        return np.sqrt(mean(z * z))
-
-    return rms(off - slope[:, None] * t), rms(off)
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:

@@ -115,7 +115,7 @@ def reported(
         "not_established": rows.same_rows(found, "stretch"),
         "power": power_rows(problem, found, criteria),
         "notes": [*few(problem), *notes(by_name(problem, found.final))],
-        "next_experiment": discriminating(simulator, problem, found, proposals),
+        "next_experiment": discriminating(simulator, found, proposals),
     }
     account = Account(
         "simulator",

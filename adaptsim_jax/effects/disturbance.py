@@ -96,7 +96,6 @@ PENDULUM_COGGING = Effect(
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
     "slow sweeps over many periods",
     ("spring",),
-    grid=orders,
     formula="sine sin(order q) + cosine cos(order q) + second harmonic",
 )
 
@@ -172,7 +171,6 @@ PENDULUM_HEAVE = Effect(
     "long trials at wide angles, where gravity pulls",
     ("sway", "periodic_disturbance"),
     scope="base",
-    grid=frequencies,
     formula="a gravity(q), a = sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), at both "
     "joints",
 )
@@ -186,6 +184,5 @@ PENDULUM_SWAY = Effect(
     "long trials through hanging and upright",
     ("heave", "periodic_disturbance"),
     scope="base",
-    grid=frequencies,
     formula="sqrt(1 + a^2) gravity(q1 + atan a) - gravity(q1), a as of heave, at both joints",
 )

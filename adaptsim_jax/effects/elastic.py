@@ -4,7 +4,6 @@ import jax.numpy as jnp
 
 from adaptsim_jax.effects.base import Effect, Motion, Quantity
 
-STIFF = 30.0  # N m/rad for each N m of the rig's torque: as hard as most stops are
 HERTZ_DEPTH = 0.1  # rad, at which stiffness is defined whatever the exponent
 
 
@@ -13,19 +12,6 @@ def stops(reach, joint):
     span = high - low
     upper = [{"angle": high - span * s, "side": 1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
     return upper + [{"angle": low + span * s, "side": -1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
-
-
-def stiff_stops(reach, joint):
-    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
-    throws the model so far off that a linear score makes it soft and puts it well inside. From
-    there no fit finds the way to it.
-    """
-    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
-    stiff = {"stiffness": STIFF * float(reach.torque[joint]), "loss": 0.0, "damping": 0.0}
-    inside = [0.015 * s * (high - low) for s in (0.0, 1.0)]
-    return [stiff | {"angle": high - d, "side": 1.0} for d in inside] + [
-        stiff | {"angle": low + d, "side": -1.0} for d in inside
-    ]
 
 
 def spring(p, m: Motion):
@@ -133,8 +119,6 @@ PENDULUM_HARD_STOP = Effect(
     "motion into the stop, and well inside it",
     ("spring", "cogging"),
     smooth=False,
-    grid=stops,
-    starts=stiff_stops,
     formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = "
     "max(0, side (q - angle))",
 )

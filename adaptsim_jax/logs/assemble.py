@@ -42,7 +42,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     trials = [columns_of(trial, names, meta) for trial in raw]
     scales = check_scales(trials, names)
     retained, held = _moving(path, trials, names, meta)
-    inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in retained])
+    inputs = choose_inputs(trials, names, meta, [names.joints[j] for j in retained])
     log_trials = tuple(_trial(columns, names, meta, inputs, retained) for columns in trials)
     _check_clocks(raw, log_trials)
     log_trials, paused = _unpaused(log_trials)

@@ -4,10 +4,9 @@
     angle_zero = "hanging"          # or "upright"
     [geometry]                      # l1, l2 in m, g in m/s^2
     [known]                         # parameters that were not fitted
-    [trial_clock]                   # s by trial's name: shifts of a clock that runs between trials
-    [covariance]                    # names, matrix: of all that was fitted
 
-The rest is as every `model.toml` has it (`model_toml.py`).
+The rest is as every `model.toml` has it (`model_toml.py`). What files of before say of a clock and
+of a covariance is read over.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,7 +32,6 @@ from adaptsim_jax.mend.model_toml import (
     numbers_at,
     of_unit,
     read_form,
-    table_at,
     text_at,
 )
 
@@ -55,11 +53,8 @@ class ModelFile:
     declared: dict[str, Value]
     effects: tuple[AddedEffect, ...] = ()
     known: dict[str, float] = field(default_factory=dict)
-    names: tuple[str, ...] = ()  # of the rows of `covariance`
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     provenance: dict[str, Any] = field(default_factory=dict)
     path: str = "model.toml"
-    trial_clock: dict[str, float] = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
 
     def effect(self, name: str) -> Effect:
@@ -111,12 +106,6 @@ def text_of(model: ModelFile) -> str:
     own: dict[str, Any] = {"angle_zero": model.angle_zero, "geometry": model.geometry}
     if model.known:
         own["known"] = model.known
-    if model.trial_clock:
-        own["trial_clock"] = model.trial_clock
-    own["covariance"] = {
-        "names": list(model.names),
-        "matrix": np.asarray(model.covariance).tolist(),
-    }
     form = Form(model.task, model.model, model.declared, model.effects, own, model.provenance)
     return form.text(USE)
 
@@ -155,7 +144,6 @@ def model_of(
         plant = make_plant(form.model, text_at(where, table, "angle_zero"), geometry, known)
     except BadInput as error:
         raise BadInput(f"{where}: {str(error).removeprefix('meta.toml: ')}") from None
-    names, covariance = _covariance(where, table_at(where, table, "covariance"))
     library = {e.name: e for e in effects or catalogue(form.task)}
     declared = _declared(where, form.declared, plant)
     added = tuple(_effect(where, i, e, plant, library) for i, e in enumerate(form.effects))
@@ -167,11 +155,8 @@ def model_of(
         declared,
         added,
         known,
-        names,
-        covariance,
         form.provenance,
         where,
-        numbers_at(where, table, "trial_clock"),
         tuple(effects or ()),
     )
 
@@ -234,16 +219,3 @@ def _effect(
                 "be; mend it"
             )
     return replace(given, parameters=values)
-
-
-def _covariance(where: str, table: Mapping) -> tuple[tuple[str, ...], np.ndarray]:
-    names = table.get("names", [])
-    try:
-        matrix = np.asarray(table.get("matrix", []), float).reshape(len(names), len(names))
-    except (TypeError, ValueError, OverflowError):
-        raise BadInput(
-            f"{where}: [covariance] must have a row and a column for each of its names; {RENEW}"
-        ) from None
-    if not np.all(np.isfinite(matrix)) or not all(isinstance(n, str) for n in names):
-        raise BadInput(f"{where}: [covariance] must hold finite numbers under names; {RENEW}")
-    return tuple(names), matrix

@@ -82,22 +82,6 @@ def actuator_lag(p, t, u):
     return u + (state - u) * share
 
 
-def _delays(reach, joint):
-    return [{"delay": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
-
-
-def short_lags(reach, joint):
-    return [{"lag": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
-
-
-def _pendulum_cuts(reach, joint):
-    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
-
-
-def _pendulum_widths(reach, joint):
-    return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
-
-
 UNKNOWN_BEFORE = Quantity(
     "before",
     "1",
@@ -119,7 +103,6 @@ PENDULUM_DELAY = Effect(
     ("actuator_lag", "sensor_lag"),
     smooth=False,
     jump=True,
-    grid=_delays,
     formula="command(t - delay)",
     title="command delay",
 )
@@ -156,7 +139,6 @@ PENDULUM_SATURATION = Effect(
     ("torque_gain",),
     smooth=False,
     jump=True,
-    grid=_pendulum_cuts,
     formula="command within +-(1 - cut) peak, the knee round where there is softness",
 )
 
@@ -170,7 +152,6 @@ PENDULUM_DEAD_ZONE = Effect(
     ("coulomb", "torque_gain"),
     smooth=False,
     jump=True,
-    grid=_pendulum_widths,
     formula="command less width, zero within +-width",
 )
 
@@ -198,7 +179,6 @@ PENDULUM_ACTUATOR_LAG = Effect(
     "fast changes of command",
     ("delay", "sensor_lag"),
     jump=True,
-    grid=short_lags,
     formula="lag torque' = command - torque",
 )
 

@@ -45,7 +45,10 @@ def friction_coupling(p, m):
 
 
 def _stops(reach, joint):
-    """Stops as hard as most are, where the motion ends and a little before."""
+    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
+    throws the model so far off that a linear score makes it soft and puts it well inside. From
+    there no fit finds the way to it.
+    """
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
     hard = [
         (0.01 * s * (high - low), k * float(reach.torque[joint]))

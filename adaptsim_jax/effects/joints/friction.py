@@ -12,12 +12,6 @@ def speeds(reach, joint):
     return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
 
 
-def deflections(reach, joint):
-    span = float(reach.q_high[joint] - reach.q_low[joint])
-    fitting = [d for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [0.1 * span + 1e-3]
-    return [{"deflection": d, "damping": s} for d in fitting for s in (0.0, 0.01)]
-
-
 def decays(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
@@ -103,7 +97,6 @@ PENDULUM_STRIBECK = Effect(
     "long stretches of slow motion beside fast ones",
     ("coulomb", "presliding"),
     contains=("coulomb",),
-    grid=speeds,
     formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
     title="Stribeck friction",
 )
@@ -166,7 +159,6 @@ PENDULUM_PRESLIDING = Effect(
     memory=True,
     smooth=False,
     contains=("coulomb",),
-    grid=deflections,
     formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
 )
 
