@@ -50,7 +50,7 @@ from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from adaptsim_jax.logs.quality.audit import Audit, audit, usable
 from adaptsim_jax.logs.quality.hypotheses import motion_of
 from adaptsim_jax.logs.quality.pendulum_design import (
-    CHANNELS,
+    WORDS,
     check_conventions,
     pendulum_trials,
     rig_design,
@@ -194,7 +194,7 @@ def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], di
     ]
     report["notes"] += checked.limits
     _of_unknown_masses(report, rig)
-    add_trials(report, evidence, pendulum_trials(log), CHANNELS)
+    add_trials(report, evidence, pendulum_trials(log), WORDS)
     evidence["audit"] += checked.rows
     return report, evidence
 

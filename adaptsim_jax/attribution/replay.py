@@ -37,7 +37,7 @@ from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
-from adaptsim_jax.diagnosis.straight import doing_nothing
+from adaptsim_jax.diagnosis.straight import doing_nothing, skill
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
@@ -91,7 +91,7 @@ class Replay:
             return {
                 "straight_line": _median(line),
                 "hold_still": _median(still),
-                "skill": skill_of(self.error[:, j], line, still),
+                "skill": skill(_median(self.error[:, j]), _median(line), _median(still)),
             }
 
         joints = {
@@ -116,16 +116,6 @@ class Replay:
             "trials": trials,
             "notes": list(self.notes),
         }
-
-
-def skill_of(error: np.ndarray, line: np.ndarray, still: np.ndarray) -> float | None:
-    """1 - error / the better of a straight line and holding still, of medians; None where nothing
-    moved.
-    """
-    base = min(_median(line), _median(still))
-    if base > 0:
-        return 1.0 - _median(error) / base
-    return None
 
 
 def _median(e: np.ndarray) -> float:

@@ -20,8 +20,7 @@ LANES = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command
 @dataclass(frozen=True)
 class JointTrack:
     """One recorded trial of `n` joints: time [T] s, q [T, n] rad or m (NaN: missing), v [T, n] or
-    None, u [T, n] (torque in N m, or what the joint's actuator was told), group: trials of one kind
-    (a payload, a zero).
+    None, u [T, n] (torque in N m, or what the joint's actuator was told).
     """
 
     name: str
@@ -29,7 +28,6 @@ class JointTrack:
     q: np.ndarray
     v: np.ndarray | None
     u: np.ndarray
-    group: str = ""
 
 
 @dataclass(frozen=True)

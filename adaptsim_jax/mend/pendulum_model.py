@@ -19,7 +19,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.effects.base import Effect, Sharp
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue, effect_named
 from adaptsim_jax.mechanisms.plant import Plant
@@ -37,7 +37,17 @@ from adaptsim_jax.mend.model_toml import (
 
 OWN = ("angle_zero", "geometry", "known", "trial_clock", "covariance")
 USE = 'give it to diagnose (meta.toml: model = "..."), train or adapt'
-NARROW = 0.02  # rad/s of friction: nothing beside the speeds of a task
+FORMER = {
+    "width": 0.02,
+    "softness": 0.0,
+    "bend": 0.0,
+    "hardening": 0.0,
+    "second_sine": 0.0,
+    "second_cosine": 0.0,
+    "damping": 0.0,
+    "exponent": 1.0,
+}
+"""Finer shapes that files of before have, and the most by which they do nothing: read over then."""
 
 
 @dataclass(frozen=True)
@@ -62,21 +72,6 @@ class ModelFile:
         it.
         """
         return effect_named(name, self.library or catalogue(self.task))
-
-    def fixed_effect(self, name: str) -> Effect:
-        """The same for a task, which varies nothing but amplitudes: friction of the model that is
-        all but sharp is `Sharp`.
-        """
-        effect = self.effect(name)
-        known = any(p.name == "width" and p.late for p in effect.parameters)
-        widths = [
-            e.parameters["width"].value
-            for e in self.effects
-            if e.name == name and "width" in e.parameters
-        ]
-        if known and max(widths, default=0.0) <= NARROW:
-            return replace(effect, apply=Sharp(effect.apply))
-        return effect
 
     @property
     def active(self) -> tuple[tuple[str, str], ...]:
@@ -199,8 +194,8 @@ def _effect(
             f"{where}: {key}.where = {given.where!r}; {given.name} acts at {' or '.join(places)}"
         )
     wanted = {p.name: p for p in effect.parameters}
-    for name in given.parameters:
-        if name not in wanted:
+    for name, value in given.parameters.items():
+        if name not in wanted and value.value > FORMER.get(name, -np.inf):
             raise BadInput(
                 f"{where}: unknown parameter '{key}.parameters.{name}'; {given.name} has "
                 f"{', '.join(wanted)}"

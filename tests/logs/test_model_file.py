@@ -51,6 +51,16 @@ def test_what_is_written_is_read_back(tmp_path):
     assert back.provenance["message"] == 'says "so"'
 
 
+def test_finer_shapes_of_files_of_before_are_read_over_where_they_do_nothing(tmp_path):
+    path, text = tmp_path / "model.toml", text_of(example())
+    more = '[effects.parameters.width]\nvalue = {}\nunit = "rad/s"\n\n[effects.parameters.level]'
+    path.write_text(text.replace("[effects.parameters.level]", more.format(0.001)))
+    assert set(read_model(path).effects[0].parameters) == {"level"}
+    path.write_text(text.replace("[effects.parameters.level]", more.format(0.1)))
+    with pytest.raises(BadInput, match="unknown parameter"):
+        read_model(path)
+
+
 def test_effects_land_in_their_slots_of_the_flat_vector(tmp_path):
     model = example()
     layout = make_model(model.plant(), catalogue("pendulum")).layout

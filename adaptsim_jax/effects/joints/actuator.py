@@ -21,17 +21,11 @@ def torque_gain(p, t, u):
 
 
 def saturation(p, t, u):
-    """The limit is written as a share cut off the largest command, so that no cut changes nothing.
-    With softness the knee is round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness.
+    """The limit is written as a share cut off the largest command, so that no cut changes
+    nothing.
     """
     level = (1.0 - p["cut"]) * p["peak"]
-    sharp = jnp.clip(u, -level, level)
-    n = 1.0 / jnp.maximum(p["softness"], 0.02)
-    over = jnp.abs(u) / level
-    most = jnp.maximum(over, 1.0)  # what is raised to n stays within 1
-    round_ = u / (most * (most**-n + (over / most) ** n) ** (1.0 / n))
-    share = jnp.where(p["softness"] > 0.0, jnp.clip(p["cut"] / 1e-3, 0.0, 1.0), 0.0)
-    return sharp + share * (round_ - sharp)
+    return jnp.clip(u, -level, level)
 
 
 def dead_zone(p, t, u):
@@ -122,16 +116,6 @@ PENDULUM_SATURATION = Effect(
             held=True,
             meaning="the largest command recorded; not fitted",
         ),
-        Quantity(
-            "softness",
-            "1",
-            0.0,
-            0.7,
-            shape=True,
-            optional=True,
-            meaning="of the knee; 0 is sharp",
-            late=True,
-        ),
     ),
     saturation,
     "torque cannot exceed a limit: (1 - cut) of the largest command",
@@ -139,7 +123,7 @@ PENDULUM_SATURATION = Effect(
     ("torque_gain",),
     smooth=False,
     jump=True,
-    formula="command within +-(1 - cut) peak, the knee round where there is softness",
+    formula="command within +-(1 - cut) peak",
 )
 
 PENDULUM_DEAD_ZONE = Effect(

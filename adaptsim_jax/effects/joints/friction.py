@@ -16,25 +16,13 @@ def decays(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
 
-WIDTH = Quantity(
-    "width",
-    "rad/s",
-    0.0,
-    0.2,
-    shape=True,
-    optional=True,
-    meaning="within which it turns; 0 is sharp",
-    late=True,
-)
-
-
 def coulomb(p, m: Motion):
-    return Dry(p["level"] + 0.0 * m.q, width=p.get("width", 0.0))
+    return Dry(p["level"] + 0.0 * m.q)
 
 
 def stribeck_and_level(p, m: Motion):
     """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
-    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])), width=p["width"])
+    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
 
 
 def quadratic_drag(p, m: Motion):
@@ -48,7 +36,7 @@ def friction_drift(p, m: Motion):
 
 
 def load_friction(p, m: Motion):
-    return Dry(p["share"] * jnp.abs(m.u), width=p.get("width", 0.0))
+    return Dry(p["share"] * jnp.abs(m.u))
 
 
 def bristle(p, m: Motion):
@@ -65,13 +53,12 @@ def bristle(p, m: Motion):
 PENDULUM_COULOMB = Effect(
     "coulomb",
     "force",
-    (Quantity("level", "N m", 0.0, 1.0, sign=1), WIDTH),
+    (Quantity("level", "N m", 0.0, 1.0, sign=1),),
     coulomb,
     "dry friction: a constant torque against the motion",
     "reversals, and both slow and fast motion",
     ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
-    formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would "
-    "move it",
+    formula="-level sign(v); holds the joint where less than the level would move it",
     title="Coulomb friction",
 )
 
@@ -90,14 +77,13 @@ PENDULUM_STRIBECK = Effect(
             shape=True,
             meaning="at which the excess has fallen to a third",
         ),
-        WIDTH,
     ),
     stribeck_and_level,
     "dry friction that is higher at creeping speed",
     "long stretches of slow motion beside fast ones",
     ("coulomb", "presliding"),
     contains=("coulomb",),
-    formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
+    formula="-(level + excess exp(-(v / speed)^2)) sign(v)",
     title="Stribeck friction",
 )
 
@@ -131,12 +117,12 @@ PENDULUM_FRICTION_DRIFT = Effect(
 PENDULUM_LOAD_FRICTION = Effect(
     "load_friction",
     "force",
-    (Quantity("share", "1", 0.0, 1.0, sign=1), WIDTH),
+    (Quantity("share", "1", 0.0, 1.0, sign=1),),
     load_friction,
     "gear friction in proportion to the torque that the joint carries",
     "high and low torque at like speeds",
     ("coulomb", "torque_gain"),
-    formula="-share |command| sign(v), or tanh(v / width)",
+    formula="-share |command| sign(v)",
     title="load-dependent friction",
 )
 

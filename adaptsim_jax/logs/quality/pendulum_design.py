@@ -20,7 +20,6 @@ from adaptsim_jax.logs.quality.contradictions import (
 )
 from adaptsim_jax.logs.quality.findings import AuditFinding, finding
 from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, stated
-from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
@@ -34,8 +33,6 @@ WORDS = Words(
     lambda j: f"turn the signs of columns q{j + 1}, v{j + 1} and tau{j + 1}",
     lambda j, parent: "write q2 - q1 into column q2, and so v2 - v1 into v2",
 )
-
-CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
