@@ -97,8 +97,7 @@ def _declared(machine: Machine, setting: DiagnosisSetting) -> tuple[Machine, Dia
     to judge.
     """
     if setting.objective == WHOLE:
-        span = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-        setting = replace(setting, horizon=span)
+        setting = replace(setting, horizon=0.98 * min(t.span for t in machine.tracks))
     return scaled(machine, setting.horizon), setting
 
 

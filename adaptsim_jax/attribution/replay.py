@@ -147,10 +147,8 @@ def replay(
         most: Stretches at most.
         roughly: Whether their starts are fitted without derivatives, in a third of the time.
     """
-    longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    span = min(
-        horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest
-    )
+    spans = [t.span for t in machine.tracks]
+    span = min(horizon or 0.98 * min(spans), max(spans))
     problem = machine.problem(MACHINE, span, most)
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))

@@ -114,13 +114,12 @@ def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | 
     can be seen what was missing.
     """
     speeds = dict(zip(problem.joint_names, found.reach.speed, strict=True))
-    units = dict(zip(problem.joint_names, problem.kinds, strict=True))
+    units = dict(zip(problem.joint_names, problem.units, strict=True))
 
     def shown_by(called: Label) -> str:
         if called.where not in speeds:
             return f"{called.where}: {problem.effect(called.name).excitation}"
-        unit = "rad/s" if units[called.where] == "hinge" else "m/s"
-        here = f"here mostly below {speeds[called.where]:.2g} {unit}"
+        here = f"here mostly below {speeds[called.where]:.2g} {units[called.where]}/s"
         return f"{called.where} ({here}): {problem.effect(called.name).excitation}"
 
     text = "{} does no better in this recording than {}. To separate them record, of {}."
@@ -253,11 +252,9 @@ def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, 
     both = {"before": remains.before, "after": remains.after}
     channels = {}
     for j, name in enumerate(problem.joint_names):
-        unit = "rad" if problem.kinds[j] == "hinge" else "m"
         own = {k: e[:, j] for k, e in both.items()}
-        channels[name] = Errors(unit, float(remains.noise[j]), own)
-    units = {errors.unit for errors in channels.values()}
-    unit = units.pop() if len(units) == 1 else "1"
+        channels[name] = Errors(problem.units[j], float(remains.noise[j]), own)
+    unit = problem.units[0] if len(set(problem.units)) == 1 else "1"
     metric = (
         f"median over left-out stretches of {horizon:g} s and joints of the RMS error of simulated "
         "angles, starts fitted"
@@ -386,7 +383,6 @@ def _held_out(problem: TreeProblem, found: Selection) -> list[Mapping[str, Any]]
     }
     if found.named:
         shown["after"] = angles_of(problem, found.final.held.paths)
-    kinds = zip(problem.joint_names, problem.kinds, strict=True)
-    units = {n: "rad" if k == "hinge" else "m" for n, k in kinds}
+    units = dict(zip(problem.joint_names, problem.units, strict=True))
     count = len(problem.fold)
     return page_tracks(s.names, units, s.trial[:count], s.time.T[:count], shown, MOST_SHOWN)

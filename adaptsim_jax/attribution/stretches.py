@@ -29,6 +29,16 @@ class JointTrack:
     v: np.ndarray | None
     u: np.ndarray
 
+    @property
+    def span(self) -> float:
+        """s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def dt(self) -> float:
+        """Median row, s."""
+        return float(np.median(np.diff(self.time)))
+
 
 @dataclass(frozen=True)
 class JointStretches:
@@ -94,12 +104,11 @@ def cut(
     """
     spans, steps = [], []
     for track in tracks:
-        dt = float(np.median(np.diff(track.time)))
-        stride = max(1, round(row / dt))
-        span = stride * max(STRETCH.min_rows, round(horizon / (stride * dt)))
+        stride = max(1, round(row / track.dt))
+        span = stride * max(STRETCH.min_rows, round(horizon / (stride * track.dt)))
         last = np.arange(len(track.time)) + span
         spans.append(TrialSpans(track.time, track.q, last, stride))
-        steps.append(stride * dt)
+        steps.append(stride * track.dt)
     chosen = stretch_rows(spans, horizon, most)
     rows, own = chosen.compared()
     past, future = (int(np.ceil(z / min(steps))) for z in (STRETCH.past, STRETCH.future))

@@ -127,6 +127,11 @@ class LogTrial:
     channels: dict[str, np.ndarray] = field(default_factory=dict)
 
     @property
+    def span(self) -> float:
+        """s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
     def dt(self) -> float:
         """Median sampling interval in s."""
         return float(np.median(np.diff(self.time)))

@@ -46,9 +46,6 @@ class Plant:
     constants: Mapping[str, np.ndarray]
     low: np.ndarray  # [P]
     high: np.ndarray  # [P]; low == high marks a known parameter
-    sound: Callable | None = (
-        None  # (constants, theta) -> theta with which the model can be simulated at all
-    )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -95,7 +92,6 @@ jax.tree_util.register_dataclass(
         "mass",
         "push",
         "gravity",
-        "sound",
     ],
 )
 

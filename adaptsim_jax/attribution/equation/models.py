@@ -207,10 +207,8 @@ def merged(null: Vector, searches: Sequence[GroupSearch]) -> TorqueSearch:
 
 
 def _values(vector: Vector, parts: Sequence[Vector]) -> np.ndarray:
-    known = {e.key: z for v in parts for e, z in zip(v.entries, v.values, strict=True)}
-    return np.array(
-        [known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
-    )
+    known = {e.key: z for v in parts for e, z in v.pairs()}
+    return np.array([known.get(e.key, z) for e, z in vector.pairs()])
 
 
 def part_of(null: Vector, balance: Balance) -> Vector:

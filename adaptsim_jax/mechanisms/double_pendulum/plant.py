@@ -43,20 +43,6 @@ def _rigid_mass(c, theta, q):
     return (m11, m12), (m12, p3)
 
 
-def _rigid_sound(c, theta):
-    """`theta` with the inertias raised until the mass matrix is positive definite at every angle:
-    what a regression says of slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1
-    h2)^2.
-    """
-    p1, p3 = float(theta[0]), float(theta[1])
-    couple = (1.05 * float(c["l1"]) * float(theta[3])) ** 2
-    if (p1 - p3) * p3 > couple:
-        return theta
-    first = max(p1 - p3, 0.1 * p1)
-    scale = max(1.0, float(np.sqrt(couple / (first * p3))))
-    return np.concatenate([[scale * (first + p3), scale * p3], theta[2:]])
-
-
 def _rigid_gravity(c, theta, q):
     first, second = sin_cos(jnp.stack([q[0], q[0] + q[1]]))[0]
     return jnp.stack(_rigid_weight(c, theta, first, second))
@@ -122,7 +108,6 @@ def linearized_pendulum(
         constants,
         low,
         high,
-        None,  # positive masses are enough
     )
 
 
@@ -160,7 +145,6 @@ def rigid_pendulum(
         {k: np.asarray(float(v)) for k, v in constants.items()},
         low,
         high,
-        _rigid_sound,
     )
 
 
