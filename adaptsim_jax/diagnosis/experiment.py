@@ -31,7 +31,7 @@ def discriminating(
     """
     for n in found.named:
         for rival, model in zip(n.alternatives, n.models, strict=True):
-            tried = {f"{name}": other for name, other in proposals.items()} or {"": simulator}
+            tried = dict(proposals) or {"": simulator}
             separation = {
                 (key, trial): size
                 for key, sim in tried.items()

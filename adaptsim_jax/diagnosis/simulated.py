@@ -133,7 +133,13 @@ def reported(
     )
     report = report_of(found, account)
     check_skill(report, criteria)
-    return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
+    shown = {"measured": s.measured, **tracks}
+    if not found.named:
+        del shown["after"]
+    shown = {key: np.where(s.seen > 0, z, np.nan) for key, z in shown.items()}
+    units = {c.name: c.unit for c in simulator.channels}
+    curves = page_tracks(s.names, units, s.trial, s.time, shown)
+    return report, {"audit": [], "held_out": curves}
 
 
 def unweighted(problem: Problem, model: Model) -> Model:
@@ -245,16 +251,3 @@ def _error(
     )
     zero = {"straight_line": line, "hold_still": still}
     return table | zero | {"skill": {k: skill(table[k], line, still) for k in both}}
-
-
-def _held_out(
-    simulator: Simulator, tracks: Mapping[str, np.ndarray], mended: bool
-) -> list[dict[str, Any]]:
-    """Each trial's stretches one after the other, measured and predicted while left out, for the
-    page.
-    """
-    s = simulator.stretches
-    shown = {"measured": s.measured, **(tracks if mended else {"before": tracks["before"]})}
-    shown = {key: np.where(s.seen > 0, z, np.nan) for key, z in shown.items()}
-    units = {c.name: c.unit for c in simulator.channels}
-    return page_tracks(s.names, units, s.trial, s.time, shown)
