@@ -111,23 +111,6 @@ def settle(
     return Settled(found.starts, found.left)
 
 
-def settled_from(
-    simulator: Simulator,
-    values: np.ndarray,
-    options: Sequence[np.ndarray],
-    rounds: int,
-    slope: StartSlope | None = None,
-) -> Settled:
-    """`settle` of all stretches, each from the best of several starts `[W, S]`."""
-
-    def evaluate(starts, lanes):
-        left = residuals(simulator, values[lanes], starts, lanes)
-        return left, np.square(left).sum(1)
-
-    best = best_of(options, evaluate).starts if len(options) > 1 else options[0]
-    return settle(simulator, values, best, rounds, None, slope)
-
-
 @dataclass(frozen=True)
 class Linearised:
     """A simulator around the points where it was asked: what was fitted and differentiated there is
@@ -157,12 +140,19 @@ class Linearised:
         the best of its own, those of the last point, and their first guess: else a model is better
         than another by where its starts were sought.
         """
-        point, last = self.near(values.mean(0)), self.points[-1].starts
-        options = [point.starts]
-        if point.starts.shape[1]:
-            options.append(self.simulator.stretches.start)
-            options += [] if last is point.starts else [last]
-        found = settled_from(self.simulator, values, options, START_ROUNDS, point.slope)
+        point, s = self.near(values.mean(0)), self.simulator.stretches
+        starts = point.starts
+
+        def evaluate(starts, lanes):
+            left = residuals(self.simulator, values[lanes], starts, lanes)
+            return left, np.square(left).sum(1)
+
+        if starts.shape[1]:
+            last = self.points[-1].starts
+            starts = best_of(
+                (starts, s.start, *([] if last is starts else [last])), evaluate
+            ).starts
+        found = settle(self.simulator, values, starts, START_ROUNDS, None, point.slope)
         return found.residual * self.weight[:, None]
 
     def columns(self, values: np.ndarray, basis: np.ndarray) -> np.ndarray:

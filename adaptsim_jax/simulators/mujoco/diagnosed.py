@@ -16,7 +16,7 @@ from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
 from adaptsim_jax.diagnosis.simulator import DERIVATIVE_STEP, Channel, linearise
 from adaptsim_jax.diagnosis.simulator import Stretches as Compared
-from adaptsim_jax.diagnosis.starts import settled_from, taken_up, without
+from adaptsim_jax.diagnosis.starts import taken_up, without
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.quality.audit import audit
@@ -30,6 +30,7 @@ from adaptsim_jax.simulators.mujoco.criteria import REMARK, SIMULATION
 from adaptsim_jax.simulators.mujoco.fields import Field, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
+from adaptsim_jax.simulators.mujoco.starts import fitted
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
 LINEARISATION_STEPS = 5e5  # steps of one linearisation: bounds its time and memory
@@ -154,58 +155,33 @@ def simulated(
     declared: tuple[str, ...],
     horizon: float | None = None,
 ) -> MujocoSimulator:
-    """A model with these fields over a recording, without candidates, begun from starts that follow
-    it.
-    """
+    """A model with these fields over a recording, without candidates."""
     horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
     cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
-    count = int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES))
-    plain = over_stretches(made, log, fields, declared, cut(made, log, horizon, count))
-    if made.base >= 0:  # a logged pose is nearer than what stiff contact lets a fit find
-        return plain
-    rough = {r.name for r in made.read if r.kind == "accelerometer"}
-    noise = [
-        c.noise * (SIMULATION.accelerometer_noises if c.name in rough else 1.0)
-        for c in plain.channels
-    ]
-    starts = begun(plain, noise, OPENING[made.free >= 0])
-    return replace(plain, stretches=replace(plain.stretches, start=starts))
-
-
-def over_stretches(
-    made: Stepped,
-    log: Log,
-    fields: tuple[Field, ...],
-    declared: tuple[str, ...],
-    own: MujocoStretches,
-) -> MujocoSimulator:
-    """The same over stretches that are cut, begun from the measured starts."""
+    own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
     felt = made.free >= 0 > made.base
     channels, measured, mask = _channels(made, own, log)
+    starts = np.zeros((own.count, rollouts.start_size(made)))
+    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
+        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
     nv, na = made.model.nv, made.model.na
     scale = np.repeat([SIMULATION.start_angle, SIMULATION.start_speed], [nv, nv + na])
     prior = prior_of(made.model, made.free) if felt else None
-    starts = np.zeros((own.count, rollouts.start_size(made)))
     compared = Compared(
         own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
     )
     return MujocoSimulator(made, own, fields, declared, channels, compared, ())
 
 
-def begun(simulator: MujocoSimulator, noise: Sequence[float], rounds: int) -> np.ndarray:
-    """Starts [W, 2 nv + na] by which the model as it is follows its channels best, which count with
-    such a `noise` (inf: not at all).
-    """
-    channels = tuple(replace(c, noise=z) for c, z in zip(simulator.channels, noise, strict=True))
-    simulator = replace(simulator, channels=channels)
-    own, nv = simulator.own, simulator.made.model.nv
-    # smoothed speeds blur where a joint sticks: speeds by the rows just before, and rest
-    options = [simulator.stretches.start]
-    for speed in (own.before, 0.0 * own.before):
-        options.append(options[0].copy())
-        options[-1][:, nv : 2 * nv] = speed - own.qvel
-    values = np.tile([q.default for q in simulator.quantities], (own.count, 1))
-    return settled_from(simulator, values, options, rounds).starts
+def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
+    """[C] weights of channels for first guesses of starts."""
+    rough = {r.name for r in made.read if r.kind == "accelerometer"}
+    return np.array(
+        [
+            1.0 / (c.noise * (SIMULATION.accelerometer_noises if c.name in rough else 1.0))
+            for c in channels
+        ]
+    )
 
 
 def _channels(

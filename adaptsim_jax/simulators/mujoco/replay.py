@@ -9,13 +9,11 @@ import numpy as np
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
-from adaptsim_jax.simulators.mujoco.diagnosed import begun, over_stretches
-from adaptsim_jax.simulators.mujoco.rollouts import predict, residual, start_size
+from adaptsim_jax.simulators.mujoco.rollouts import start_size
+from adaptsim_jax.simulators.mujoco.starts import fitted, position_weight
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
 
 REPLAY_STEPS = 6e6  # steps of one linearisation of all starts: bounds its time and memory
-START_ROUNDS = 6  # rounds of a start's fit: bounds its time
-POSITION_NOISE = 1e-4  # rad, m: of angles and the base's pose, which alone count
 MIN_STRETCHES = 8  # stretches, whatever they cost: a median needs some
 
 
@@ -47,11 +45,9 @@ def replayed(source: Source, log: Log, horizon: float, most: int | None = None) 
     total = sum(int(s / span + 1e-6) for s in spans)
     cost = (1 + start_size(made)) * span / float(made.model.opt.timestep)
     stretches = cut(made, log, span, most or max(MIN_STRETCHES, int(REPLAY_STEPS / cost)))
-    simulator = over_stretches(made, log, (), (), stretches)
-    n, lanes = len(made.angle), np.arange(stretches.count)
-    named = [c.name.startswith(("q_", "base_")) for c in simulator.channels]
-    starts = begun(simulator, np.where(named, POSITION_NOISE, np.inf).tolist(), START_ROUNDS)
-    off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
+    weight = position_weight(made, stretches)
+    _, off = fitted(made, stretches, weight)
+    n = len(made.angle)
     mask = stretches.seen[..., :n]
     error = np.sqrt(np.square(off[..., :n]).sum(1) / np.maximum(mask.sum(1), 1))
     base = None

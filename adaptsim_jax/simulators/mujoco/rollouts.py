@@ -1,4 +1,5 @@
-"""Stretches stepped by MuJoCo on all cores: states from starts in tangent coordinates.
+"""Stretches stepped by MuJoCo on all cores: states from starts in tangent coordinates, and their
+derivatives by differences.
 
 A start is [2 nv + na]: a displacement of qpos along the tangent, one of qvel, one of the
 activations, from where the stretch begins.
@@ -18,6 +19,9 @@ from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
+# rad, m (a second): of a start, for its derivative; the solver of constraints converges to far
+# less
+START_STEP = 1e-5
 MAX_STATE_NUMBERS = 4e7  # numbers of states that are held at once: 320 MB
 
 
@@ -178,3 +182,19 @@ def has_speeds(made: Stepped, stretches: MujocoStretches) -> bool:
     return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(
         made.angle
     )
+
+
+def by_start(
+    made: Stepped, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward
+    differences.
+    """
+    width = start_size(made)
+    base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
+    moved = np.repeat(starts, width, 0)
+    moved[np.arange(len(moved)), np.tile(np.arange(width), len(starts))] += START_STEP
+    where = np.repeat(lanes, width)
+    off = residual(made, stretches, predict(made, stretches, moved, where), where)
+    slope = (off.reshape(len(starts), width, *base.shape[1:]) - base[:, None]) / START_STEP
+    return base, np.moveaxis(slope, 1, -1)
