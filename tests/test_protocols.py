@@ -187,10 +187,6 @@ def test_mechanism(name, real):
     assert rates.shape == (BATCH, 2 * n) and floats(rates) == {jnp.dtype(real)}
     assert batched(plant.mass_matrix, of(p), of(n)).shape == (BATCH, n, n)
     assert batched(plant.gravity_force, of(p), of(n)).shape == (BATCH, n)
-    balance = batched(
-        lambda theta, q, v: plant.momentum_push(plant.constants, theta, q, v), of(p), of(n), of(n)
-    )
-    assert balance.shape == (BATCH, n)
 
 
 class Moving(NamedTuple):

@@ -50,18 +50,14 @@ class JointCandidate:
 
 @dataclass(frozen=True)
 class CandidateScore:
-    """Of a candidate at the best of its shapes: amplitudes [K], first-order fall of the loss, of
-    the held-out loss, robust p of the best of them, share of folds in which it gains; scatter:
-    cluster-robust standard error of its only amplitude, 0 where it has several; points: how many
-    shapes were scored.
+    """Of a candidate at the best of its shapes: first-order fall of the held-out loss, robust p of
+    the best of them; scatter: cluster-robust standard error of its only amplitude, 0 where it has
+    several; points: how many shapes were scored.
     """
 
     candidate: JointCandidate
-    amplitude: np.ndarray
-    gain: float
     held_out: float
     p: float
-    folds: float
     scatter: float = 0.0
     points: int = 1
 

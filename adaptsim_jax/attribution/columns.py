@@ -266,7 +266,7 @@ class GroupColumns:
         )
         s = group.stretches
         self.time, self.n = jnp.asarray(s.time), len(group.joints)
-        self.known = {e.key: float(z) for e, z in zip(vector.entries, vector.values, strict=True)}
+        self.known = vector.known()
         self._made: dict = {}
         self.rotor, self.link = _sides(group.model, values, path)
         self.gives = compliant(group.model, values)
@@ -354,10 +354,7 @@ class GroupColumns:
         """Force column [n, L, W] of an inertial entry of a body of the group."""
         if "inertia" not in self._made:
             y = self._regressed()
-            eta = np.zeros((self.n, 10))
-            for e, z in zip(self.vector.entries, self.vector.values, strict=True):
-                if e.owner == INERTIA and e.joints[0] in self.group.joints:
-                    eta[self.group.joints.index(e.joints[0]), ETA.index(e.name)] = z
+            eta = self.vector.bodies(self.group.joints)
             self._made["inertia"] = (y, self.group.inertias.at(eta)[1])
         y, slope = self._made["inertia"]
         part = y[:, 10 * body : 10 * body + 10]

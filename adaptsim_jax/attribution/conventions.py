@@ -34,7 +34,6 @@ from adaptsim_jax.logs.quality.hypotheses import (
     motion_of,
 )
 from adaptsim_jax.logs.quality.order import check_order
-from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.equations import regressor
@@ -91,7 +90,7 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
                 design=_design(_resized(tree, factor), program),
             )
         )
-    words = _words(tree, log.input_kind)
+    words = words_of(machine)
     zeros = [j for j, turns in enumerate(words.hinges) if turns]
     if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
@@ -210,12 +209,6 @@ def check_signals(machine: Machine) -> Audit:
     return audit(log.pick([t.name for t in machine.tracks]), slides, efforts)
 
 
-def channels(machine: Machine) -> Channels:
-    """How the columns of a machine's log are called."""
-    words = _words(machine.tree, machine.log.input_kind)
-    return Channels(words.q, words.tau, words.hinges)
-
-
 def _tracks(machine: Machine, order: Sequence[int]) -> list[Track]:
     """Trials with joints from these columns, and torques at them by the declared law of the
     actuators.
@@ -278,7 +271,9 @@ def _chain(tree: Tree) -> list[int]:
     ]
 
 
-def _words(tree: Tree, kind: str) -> Words:
+def words_of(machine: Machine) -> Words:
+    """How the columns of a machine's log are called."""
+    tree, kind = machine.tree, machine.log.input_kind
     names, stem = tree.joint_names, "tau" if kind == "torque" else kind
     return Words(
         reverse=lambda j: f'write reversed = ["{names[j]}"] under [angles] in meta.toml',

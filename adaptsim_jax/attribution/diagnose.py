@@ -13,10 +13,10 @@ from typing import Any
 
 from adaptsim_jax.attribution import of_servos, of_tree
 from adaptsim_jax.attribution.conventions import (
-    channels,
     check_conventions,
     check_signals,
     mechanism_trials,
+    words_of,
 )
 from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.load import load
@@ -97,8 +97,7 @@ def _declared(machine: Machine, setting: DiagnosisSetting) -> tuple[Machine, Dia
     to judge.
     """
     if setting.objective == WHOLE:
-        span = 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-        setting = replace(setting, horizon=span)
+        setting = replace(setting, horizon=0.98 * min(t.span for t in machine.tracks))
     return scaled(machine, setting.horizon), setting
 
 
@@ -107,7 +106,7 @@ def _add_signals(answer: Answer, machine: Machine, warned: tuple[AuditFinding, .
     report, evidence, checked = answer.report, answer.evidence, check_signals(machine)
     report["warnings"] = [*(f.message for f in warned), *checked.warnings]
     report["notes"] += checked.limits
-    add_trials(report, evidence, mechanism_trials(machine), channels(machine))
+    add_trials(report, evidence, mechanism_trials(machine), words_of(machine))
     checked = replace(checked, findings=(*warned, *checked.findings))
     evidence["audit"] = checked.rows + evidence["audit"]
 

@@ -176,7 +176,7 @@ def _hint_of(q: Inquiry, found: TorqueSearch | None) -> Hint | None:
     if not found.added:
         return None
     known = q.null.index()
-    pairs = zip(found.final.entries, found.final.values, strict=True)
+    pairs = found.final.pairs()
     added = [(e, z) for e, z in pairs if e.key not in known]
     values = np.clip(found.final.values[: len(q.null)], q.null.low, q.null.high)
     start = q.null.at(values)

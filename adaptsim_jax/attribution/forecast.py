@@ -48,28 +48,29 @@ def forecast(problem: TreeProblem, vector: Vector, roughly: bool = False) -> For
     rounds = ROUGH_ROUNDS if roughly else MAX_START_ROUNDS
     starts, paths = fitted_starts(problem, vector, rounds=rounds, roughly=roughly)
     measured, mask = observed(problem)
-    out = np.zeros_like(measured)
-    for group, path in zip(problem.groups, paths, strict=True):
-        angles = path.sensed[:, : len(group.joints)].transpose(2, 0, 1)[: len(out)]
-        out[..., list(group.joints)] = np.clip(np.nan_to_num(angles, nan=1e6), -1e6, 1e6)
+    out = np.clip(np.nan_to_num(angles_of(problem, paths), nan=1e6), -1e6, 1e6)
     return Forecast(rms(measured - out, mask), measured, out, mask, starts, tuple(paths))
 
 
 def observed(problem: TreeProblem) -> tuple[np.ndarray, np.ndarray]:
     """Measured angles of the stretches [W, L+1, n], and where they were read (1) or not (0)."""
-    count, rows = len(problem.fold), problem.groups[0].stretches.rows + 1
-    measured, mask = (
-        np.zeros((count, rows, problem.joints)),
-        np.zeros((count, rows, problem.joints)),
-    )
-    for group in problem.groups:
+    parts = [g.stretches for g in problem.groups]
+    return _by_joint(problem, [s.q for s in parts]), _by_joint(problem, [s.seen for s in parts])
 
-        def swap(z):
-            return z.transpose(2, 0, 1)[:count]
 
+def angles_of(problem: TreeProblem, paths: Sequence[Path]) -> np.ndarray:
+    """Angles of the stretches [W, L+1, n] as paths by group have them."""
+    return _by_joint(problem, [p.sensed for p in paths])
+
+
+def _by_joint(problem: TreeProblem, parts: Sequence[np.ndarray]) -> np.ndarray:
+    """[W, L+1, n] of angles, and what may follow them, by group [L+1, n_g ..., W]."""
+    count = len(problem.fold)
+    out = np.zeros((count, len(parts[0]), problem.joints))
+    for group, part in zip(problem.groups, parts, strict=True):
         own = list(group.joints)
-        measured[..., own], mask[..., own] = swap(group.stretches.q), swap(group.stretches.seen)
-    return measured, mask
+        out[..., own] = part[:, : len(own)].transpose(2, 0, 1)[:count]
+    return out
 
 
 def rms(off: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -310,7 +310,7 @@ def placed(
         )
         vector = base.fit.vector.with_entries(c.entries)
         own = {e.key: float(point[e.name]) for e in c.entries}
-        values = [own.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
+        values = [own.get(e.key, z) for e, z in vector.pairs()]
         vector = vector.at(np.array(values)).with_entries(shape_entries(problem, reach, here))
         starts, by_lane, _ = settled(problem, base.lin, vector, (base.fit.starts,))
         out.append((here, (vector, starts, by_lane)))

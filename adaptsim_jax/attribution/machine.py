@@ -108,7 +108,7 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
     else:
         drives = _torques(mechanism, log)
     tracks = tuple(
-        JointTrack(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u), trial.group)
+        JointTrack(trial.name, trial.time, trial.q, trial.v, drives.input(trial.u))
         for trial in log.trials
     )
     law, gear = drives.law, drives.gear

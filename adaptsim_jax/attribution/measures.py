@@ -90,10 +90,8 @@ def of_simulation(problem: TreeProblem, error: np.ndarray, name: str, span: floa
     def middle(e):
         return np.median(e, 0)
 
-    units = tuple("rad" if k == "hinge" else "m" for k in problem.kinds)
-    return Measure(
-        name, span, middle(error), middle(line), middle(still), problem.joint_names, units
-    )
+    names = problem.joint_names
+    return Measure(name, span, middle(error), middle(line), middle(still), names, problem.units)
 
 
 def of_torque(
@@ -125,7 +123,7 @@ def of_torque(
             root(size),
             root(size - size.mean(0, where=count)),
         )
-    units = tuple("N m" if k == "hinge" else "N" for k in problem.kinds)
+    units = problem.force_units
     return Measure(TORQUE, WINDOW.span, error, line, still, problem.joint_names, units)
 
 

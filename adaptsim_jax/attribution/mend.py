@@ -113,7 +113,7 @@ def _holds(machine: Machine, problem: TreeProblem, model: FittedTree, c: JointCa
         driven = set()
     if machine.gain_unknown:  # which gets a motor where it has none
         driven |= {machine.tree.joint_names.index(name) for name in gains(machine)}
-    fitted = zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
+    fitted = model.fit.vector.pairs()
     values = [v for e, v in fitted if e.owner == c.effect and set(e.joints) <= set(c.joints)]
     late, changed = effect.shifts_commands, by_actuator(effect)
     # gain times torque beside a clipped torque bends where the limit is reached; a limit of MJCF
@@ -230,9 +230,7 @@ def _motors(machine: Machine, model: FittedTree | None = None) -> dict[str, floa
         for name, g in gains(machine).items()
         if machine.tree.joint_names.index(name) not in has
     }
-    for e, value in (
-        zip(model.fit.vector.entries, model.fit.vector.values, strict=True) if model else ()
-    ):
+    for e, value in model.fit.vector.pairs() if model else ():
         for j in e.joints if e.owner == TORQUE_GAIN.name else ():
             name = machine.tree.joint_names[j]
             if name in out:
@@ -265,7 +263,7 @@ def _actuators(
         return out
     changed = {(k.name, p): key for k in problem.effects for p, key in by_actuator(k).items()}
     peak = _peaks(problem, model)
-    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+    for e, value in model.fit.vector.pairs():
         key = changed.get((e.owner, e.name))
         for j in e.joints if key else ():
             for name in by_joint.get(j, ()):
@@ -282,7 +280,7 @@ def _actuators(
 def _peaks(problem: TreeProblem, model: FittedTree) -> dict[int, float]:
     """Peak of the force of each joint's actuator, N m: the fitted one where there is one."""
     peaks = dict(enumerate(problem.reach.peak))
-    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+    for e, value in model.fit.vector.pairs():
         if e.owner == SATURATION.name and e.name == "peak":
             peaks |= dict.fromkeys(e.joints, value)
     return peaks
@@ -295,7 +293,7 @@ def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[st
     vector = named.fit.vector
     lines = []
     for c in gone:
-        for e, value in zip(vector.entries, vector.values, strict=True):
+        for e, value in vector.pairs():
             if e.owner == c.effect and set(e.joints) <= set(c.joints):
                 where = ", ".join(problem.joint_names[j] for j in e.joints)
                 lines.append(

@@ -70,7 +70,7 @@ def text_of(
 
 def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]:
     by: dict[tuple[str, str], dict[str, Value]] = {}
-    for e, value in zip(model.fit.vector.entries, model.fit.vector.values, strict=True):
+    for e, value in model.fit.vector.pairs():
         if e.owner == INERTIA:
             continue
         if e.owner == TILT:

@@ -157,7 +157,7 @@ class SimulatedEvidence(Evidence):
     def own(self) -> list[tuple[Entry, float]]:
         """Its entries in the model, with their values."""
         keys, vector = {e.key for e in self.candidate.entries}, self.model.fit.vector
-        both = zip(vector.entries, vector.values, strict=True)
+        both = vector.pairs()
         return [(e, float(z)) for e, z in both if e.key in keys]
 
     @property
@@ -200,7 +200,7 @@ class SimulatedEvidence(Evidence):
         if self.candidate.effect != PRESLIDING.name:
             return None
         problem, vector = self.problem, self.model.fit.vector
-        values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
+        values = vector.known()
 
         def bent(j):
             minimum = 0.01 * float(problem.reach.torque[j])
@@ -264,11 +264,7 @@ def between_rows(
     if c.effect == ARMATURE.name:
         return in_step(problem, model.fit.vector.entries, model.fit.vector.values, criteria)
     driven = {j for j in range(problem.joints) if problem.reach.peak[j] > 0.0}
-    times = [
-        z
-        for e, z in zip(model.fit.vector.entries, model.fit.vector.values, strict=True)
-        if e.key == c.entries[0].key
-    ]
+    times = [z for e, z in model.fit.vector.pairs() if e.key == c.entries[0].key]
     between = (
         bool(times) and -criteria.within_row < times[0] / problem.reach.dt < criteria.min_shift
     )

@@ -8,7 +8,7 @@ are admissible at any eta and all ten numbers are without unit. A weak prior hol
 not fix at what was declared.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -68,6 +68,22 @@ class Vector:
 
     def index(self) -> dict[tuple, int]:
         return {e.key: i for i, e in enumerate(self.entries)}
+
+    def pairs(self) -> Iterator[tuple[Entry, float]]:
+        """Each entry with its value."""
+        return zip(self.entries, self.values.tolist(), strict=True)
+
+    def known(self) -> dict[tuple, float]:
+        """Values by key."""
+        return {e.key: z for e, z in self.pairs()}
+
+    def bodies(self, joints: Sequence[int]) -> np.ndarray:
+        """What is fitted of the bodies that joints move, in the coordinates of `ETA` [n, 10]."""
+        out = np.zeros((len(joints), len(catalogue.ETA)))
+        for e, z in self.pairs():
+            if e.owner == INERTIA and e.joints[0] in joints:
+                out[joints.index(e.joints[0]), catalogue.ETA.index(e.name)] = z
+        return out
 
     @property
     def low(self) -> np.ndarray:

@@ -31,16 +31,14 @@ from adaptsim_jax.mend.model_toml import AddedEffect, Value
 from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
 
 
-def _common() -> dict[str, tuple[str, ...]]:
-    """Parameters that both catalogues know, of effects with the same name and amplitudes."""
-    of_joints = {e.name: e for e in OWN}
-    out = {}
-    for e in catalogue("pendulum"):
-        other = of_joints.get(e.name)
-        if other and {p.name for p in e.amplitudes} == {p.name for p in other.amplitudes}:
-            known = {p.name for p in other.parameters}
-            out[e.name] = tuple(p.name for p in e.parameters if p.name in known)
-    return out
+def _common() -> frozenset[str]:
+    """Effects that both catalogues know by the same name and amplitudes."""
+    of_joints = {e.name: {p.name for p in e.amplitudes} for e in OWN}
+    return frozenset(
+        e.name
+        for e in catalogue("pendulum")
+        if {p.name for p in e.amplitudes} == of_joints.get(e.name)
+    )
 
 
 SAME = _common()
@@ -74,10 +72,7 @@ def pendulum_machine(log: Log, model: str | Path, effects: Sequence[Effect] = ()
     given = read_model(model, own_catalogue("pendulum", effects))
     with TemporaryDirectory() as folder:
         made = declared_machine(log, given.theta(given.plant()), Path(folder) / DECLARED)
-    notes = (*made.log.notes, *left_out(given))
-    return replace(
-        made, declared=made.declared | _declared_effects(given), log=replace(made.log, notes=notes)
-    )
+    return replace(made, declared=made.declared | _declared_effects(given))
 
 
 def declared_model(rig: Rig, effects: Sequence[Effect] | None = None) -> ModelFile | None:
@@ -111,21 +106,6 @@ def own_catalogue(task: str, effects: Sequence[Effect]) -> tuple[Effect, ...]:
     known = catalogue(task)
     names = {e.name for e in (*known, *OWN)}
     return (*known, *(e for e in effects if e.name not in names))
-
-
-def left_out(given: ModelFile) -> list[str]:
-    """What of the file's effects a mechanism does not simulate: `diagnose` simulated it, so that
-    its error was less.
-    """
-    out = []
-    for e in given.effects:
-        rest = [k for k in e.parameters if k not in SAME.get(e.name, e.parameters)]
-        if rest:
-            out.append(
-                f"{e.name} at {e.where} is simulated without its {' and '.join(rest)}, which "
-                "diagnose has"
-            )
-    return out
 
 
 def rig_of(log: Log) -> Rig:
@@ -177,10 +157,7 @@ def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
         elif e.name == PRESLIDING.name:
             put(COULOMB.name, "level", e.where, numbers["level"])
             put(e.name, "compliance", e.where, numbers["deflection"] / max(numbers["level"], 1e-9))
-        elif e.name in SAME:
-            for k in SAME[e.name]:
-                put(e.name, k, e.where, numbers[k])
-        elif e.name not in {x.name for x in catalogue(given.task)}:
+        elif e.name in SAME or e.name not in {x.name for x in catalogue(given.task)}:
             for k, value in numbers.items():
                 put(e.name, k, e.where, value)
         else:

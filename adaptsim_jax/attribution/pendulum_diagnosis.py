@@ -11,9 +11,9 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from adaptsim_jax.attribution.account import reported, write_so_far
-from adaptsim_jax.attribution.criteria import STRETCH
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
@@ -46,14 +46,15 @@ from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
-from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.pendulum import check_known, read_pendulum
 from adaptsim_jax.logs.quality.audit import Audit, audit, usable
+from adaptsim_jax.logs.quality.hypotheses import motion_of
 from adaptsim_jax.logs.quality.pendulum_design import (
-    CHANNELS,
+    WORDS,
     check_conventions,
     pendulum_trials,
-    torques,
+    rig_design,
+    tracks_of,
 )
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.registry import make_plant
@@ -193,7 +194,7 @@ def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], di
     ]
     report["notes"] += checked.limits
     _of_unknown_masses(report, rig)
-    add_trials(report, evidence, pendulum_trials(log), CHANNELS)
+    add_trials(report, evidence, pendulum_trials(log), WORDS)
     evidence["audit"] += checked.rows
     return report, evidence
 
@@ -211,8 +212,10 @@ def _add_reward(report: dict[str, Any], reward: Callable[[], dict[str, Any] | No
 def first_parameters(log: Log) -> np.ndarray:
     """Declared parameters [P] at which the fit begins.
 
-    By regression of the momentum balance on the smoothed motion (`Plant.initial_theta`), which no
-    simulation leads astray. Raises BadInput where `[known]` names what the model has not.
+    By bounded least squares on block means of the motion, which no simulation leads astray: torques
+    are linear in them. Where no torque acts, which fixes them up to a common factor, the first is
+    held at 1, unless one of them is known. Raises BadInput where `[known]` names what the model has
+    not.
     """
     rig = rig_of(log)
     if rig.model not in (RIGID, LINEAR):
@@ -223,27 +226,18 @@ def first_parameters(log: Log) -> np.ndarray:
     plant = make_plant(rig.model, rig.angle_zero, rig.geometry, rig.known)
     links = LINKS if rig.model == RIGID else ()
     check_known(log.path, rig.known, (*plant.theta_names, *links))
-    if not log.driven:
-        plant = plant.unscaled()
-    motions = []
-    for trial in log.trials:
-        torque = torques(log, trial)
-        for rows in _unbroken(trial.q):
-            time, v = trial.time[rows], None if trial.v is None else trial.v[rows]
-            motions.append((time, *local_motion(time, trial.q[rows], v), torque[rows]))
-    return plant.initial_theta(motions)
-
-
-def _unbroken(q: np.ndarray) -> list[np.ndarray]:
-    """The rows of a trial, or of its parts between rows that have no angles `q [T, n]`.
-
-    Parts are of `STRETCH.min_part_rows` or more, else the longest.
-    """
-    observed = np.all(np.isfinite(q), axis=1)
-    parts = np.split(np.arange(len(observed)), np.flatnonzero(np.diff(observed)) + 1)
-    parts = [rows for rows in parts if observed[rows[0]]]
-    longest = max(map(len, parts), default=0)
-    return [rows for rows in parts if len(rows) >= min(STRETCH.min_part_rows, longest)]
+    theta = plant.low.copy()
+    free = plant.low < plant.high
+    if not log.driven and free.all():
+        theta[0], free[0] = 1.0, False
+    motion = motion_of(tracks_of(log))
+    dampings = motion.v[:, :, None] * np.eye(2)
+    columns = np.concatenate([rig_design(rig)(motion, True), dampings], 2).reshape(-1, len(theta))
+    size = np.linalg.norm(columns, axis=0) + 1e-30
+    rest = motion.tau.reshape(-1) - columns[:, ~free] @ theta[~free]
+    bounds = plant.low[free] * size[free], plant.high[free] * size[free]
+    theta[free] = lsq_linear(columns[:, free] / size[free], rest, bounds).x / size[free]
+    return theta
 
 
 def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:

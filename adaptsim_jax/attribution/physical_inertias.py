@@ -198,7 +198,7 @@ def quantities(machine: Machine, problem: TreeProblem, model: FittedTree) -> lis
         int, tuple[np.ndarray, np.ndarray]
     ] = {}  # inertial parameters [2 + F, 10] of a body, their slope [10, P]
     for g in problem.groups:
-        by_fit = [_of_group(g, place, row) for row in fits]
+        by_fit = [g.inertias.at(vector.at(row).bodies(g.joints)) for row in fits]
         for k, j in enumerate(g.joints):
             slope = np.zeros((10, len(vector)))
             for c, name in enumerate(ETA):
@@ -209,16 +209,6 @@ def quantities(machine: Machine, problem: TreeProblem, model: FittedTree) -> lis
     return out + [
         q for j in range(tree.n) if not tree.massless[j] for q in _body(machine, *found[j], j)
     ]
-
-
-def _of_group(group, place: dict, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    eta = np.zeros((len(group.joints), 10))
-    for k, j in enumerate(group.joints):
-        for c, name in enumerate(ETA):
-            if (j, name) in place:
-                eta[k, c] = numbers[place[j, name]]
-    value, slope = group.inertias.at(eta)
-    return value, slope
 
 
 def _body(

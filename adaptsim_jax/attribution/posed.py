@@ -119,7 +119,7 @@ def scaled(machine: Machine, horizon: float) -> Machine:
     problem = replace(machine, ties=None).problem(MACHINE, horizon)
     vector = fit(problem, declared_vector(machine, problem), rounds=15).vector
     law = machine.actuator.copy()
-    for e, value in zip(vector.entries, vector.values, strict=True):
+    for e, value in vector.pairs():
         if e.owner == TORQUE_GAIN.name:
             law[0, list(e.joints)] *= 1.0 + value
     return replace(machine, actuator=law)

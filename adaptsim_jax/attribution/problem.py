@@ -78,6 +78,16 @@ class TreeProblem:
         return len(self.joint_names)
 
     @property
+    def units(self) -> tuple[str, ...]:
+        """[n] of the joints' coordinates."""
+        return tuple("rad" if kind == "hinge" else "m" for kind in self.kinds)
+
+    @property
+    def force_units(self) -> tuple[str, ...]:
+        """[n] of what acts on the joints."""
+        return tuple("N m" if kind == "hinge" else "N" for kind in self.kinds)
+
+    @property
     def parents(self) -> tuple[int, ...]:
         """[n] The joint before each in the tree, -1 for none."""
         out = [-1] * self.joints
@@ -294,9 +304,9 @@ def _reach(
         low.append(np.quantile(q, 0.005, axis=0))
         high.append(np.quantile(q, 0.995, axis=0))
     torque = np.max(torque, 0)
-    longest = max(float(t.time[-1] - t.time[0]) for t in tracks)
+    longest = max(t.span for t in tracks)
     # the longest: a shift that the slowest trial does not resolve is not named
-    dt = max(float(np.median(np.diff(t.time))) for t in tracks)
+    dt = max(t.dt for t in tracks)
     speed = np.maximum(np.max(speed, 0), 0.02)
     return Reach(
         torque,

@@ -37,6 +37,7 @@ from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
+from adaptsim_jax.diagnosis.straight import doing_nothing, skill
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
@@ -90,7 +91,7 @@ class Replay:
             return {
                 "straight_line": _median(line),
                 "hold_still": _median(still),
-                "skill": skill_of(self.error[:, j], line, still),
+                "skill": skill(_median(self.error[:, j]), _median(line), _median(still)),
             }
 
         joints = {
@@ -115,16 +116,6 @@ class Replay:
             "trials": trials,
             "notes": list(self.notes),
         }
-
-
-def skill_of(error: np.ndarray, line: np.ndarray, still: np.ndarray) -> float | None:
-    """1 - error / the better of a straight line and holding still, of medians; None where nothing
-    moved.
-    """
-    base = min(_median(line), _median(still))
-    if base > 0:
-        return 1.0 - _median(error) / base
-    return None
 
 
 def _median(e: np.ndarray) -> float:
@@ -156,10 +147,8 @@ def replay(
         most: Stretches at most.
         roughly: Whether their starts are fitted without derivatives, in a third of the time.
     """
-    longest = max(float(t.time[-1] - t.time[0]) for t in machine.tracks)
-    span = min(
-        horizon or 0.98 * min(float(t.time[-1] - t.time[0]) for t in machine.tracks), longest
-    )
+    spans = [t.span for t in machine.tracks]
+    span = min(horizon or 0.98 * min(spans), max(spans))
     problem = machine.problem(MACHINE, span, most)
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
@@ -320,7 +309,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
     if not n and found.base is not None:  # nothing but a body that flies
         names, kinds, error = ("base, place", "base, turn"), ("slide", "hinge"), found.base
         measured = simulated = mask = np.zeros((*s.time.shape, 2))
-    line, still = lines_of(s.time, measured, mask)
+    line, still = doing_nothing(s.time, measured, mask)
     return Replay(
         names,
         kinds,
@@ -336,27 +325,6 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         line,
         still,
     )
-
-
-def lines_of(
-    time: np.ndarray, measured: np.ndarray, mask: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """What a straight line and holding still leave [W, n] of angles [W, L, n] where they were seen,
-    rms.
-    """
-    count = np.maximum(mask.sum(1), 1)
-
-    def mean(z):
-        return (z * mask).sum(1) / count
-
-    off = measured - mean(measured)[:, None]
-    t = time[..., None] - mean(np.broadcast_to(time[..., None], measured.shape))[:, None]
-    slope = mean(t * off) / np.maximum(mean(t * t), 1e-12)
-
-    def rms(z):
-        return np.sqrt(mean(z * z))
-
-    return rms(off - slope[:, None] * t), rms(off)
 
 
 def suspected(machine: Machine) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from adaptsim_jax.attribution.fitted import (
     held_error,
     times_floor,
 )
+from adaptsim_jax.attribution.forecast import angles_of, observed
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA, Entry
 from adaptsim_jax.attribution.problem import TreeProblem
@@ -45,10 +46,13 @@ from adaptsim_jax.diagnosis.report import (
     Scored,
     error_rows,
     interval_units,
+    page_tracks,
     remarks,
 )
 from adaptsim_jax.effects.joints.actuator import SATURATION
 from adaptsim_jax.effects.joints.friction import VISCOUS
+
+MOST_SHOWN = 12  # stretches of a trial on the page
 
 
 def account_of(
@@ -110,13 +114,12 @@ def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | 
     can be seen what was missing.
     """
     speeds = dict(zip(problem.joint_names, found.reach.speed, strict=True))
-    units = dict(zip(problem.joint_names, problem.kinds, strict=True))
+    units = dict(zip(problem.joint_names, problem.units, strict=True))
 
     def shown_by(called: Label) -> str:
         if called.where not in speeds:
             return f"{called.where}: {problem.effect(called.name).excitation}"
-        unit = "rad/s" if units[called.where] == "hinge" else "m/s"
-        here = f"here mostly below {speeds[called.where]:.2g} {unit}"
+        here = f"here mostly below {speeds[called.where]:.2g} {units[called.where]}/s"
         return f"{called.where} ({here}): {problem.effect(called.name).excitation}"
 
     text = "{} does no better in this recording than {}. To separate them record, of {}."
@@ -249,11 +252,9 @@ def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, 
     both = {"before": remains.before, "after": remains.after}
     channels = {}
     for j, name in enumerate(problem.joint_names):
-        unit = "rad" if problem.kinds[j] == "hinge" else "m"
         own = {k: e[:, j] for k, e in both.items()}
-        channels[name] = Errors(unit, float(remains.noise[j]), own)
-    units = {errors.unit for errors in channels.values()}
-    unit = units.pop() if len(units) == 1 else "1"
+        channels[name] = Errors(problem.units[j], float(remains.noise[j]), own)
+    unit = problem.units[0] if len(set(problem.units)) == 1 else "1"
     metric = (
         f"median over left-out stretches of {horizon:g} s and joints of the RMS error of simulated "
         "angles, starts fitted"
@@ -375,34 +376,13 @@ def _held_out(problem: TreeProblem, found: Selection) -> list[Mapping[str, Any]]
     """Measured angles and those predicted of left-out folds, trial by trial, stretches one after
     the other.
     """
-    pair = [m.held.paths for m in (found.null, found.final)]
-    s = problem.groups[0].stretches
-    out = []
-    for k, name in enumerate(s.names):
-        lanes = [w for w in range(len(problem.fold)) if s.trial[w] == k][:12]
-        if not lanes:
-            continue
-        units = {
-            n: "rad" if k == "hinge" else "m"
-            for n, k in zip(problem.joint_names, problem.kinds, strict=True)
-        }
-        time = np.concatenate([np.append(s.time[:, w], s.time[-1, w]) for w in lanes])
-        entry: dict[str, Any] = {"trial": name, "units": units, "time": time}
-
-        def flat(z, lanes=lanes):
-            return np.concatenate([np.append(z[:, w], np.nan) for w in lanes])
-
-        for key in ("measured", "before", "after"):
-            entry[key] = {}
-        for g, a, b in zip(problem.groups, *pair, strict=True):
-            for at, j in enumerate(g.joints):
-                name_j = problem.joint_names[j]
-                entry["measured"][name_j] = flat(
-                    np.where(g.stretches.seen[:, at] > 0, g.stretches.q[:, at], np.nan)
-                )
-                entry["before"][name_j] = flat(a.sensed[:, at])
-                entry["after"][name_j] = flat(b.sensed[:, at])
-        if not found.named:
-            entry["after"] = None
-        out.append(entry)
-    return out
+    s, (measured, seen) = problem.groups[0].stretches, observed(problem)
+    shown = {
+        "measured": np.where(seen > 0, measured, np.nan),
+        "before": angles_of(problem, found.null.held.paths),
+    }
+    if found.named:
+        shown["after"] = angles_of(problem, found.final.held.paths)
+    units = dict(zip(problem.joint_names, problem.units, strict=True))
+    count = len(problem.fold)
+    return page_tracks(s.names, units, s.trial[:count], s.time.T[:count], shown, MOST_SHOWN)

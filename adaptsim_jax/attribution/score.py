@@ -133,19 +133,16 @@ class _Sums:
         total, bend = by_fold.sum(0), curve.sum(0)
         most = self._most(c)
         amplitude = _solved(c, bend, total, most)
-        gain = float(amplitude @ total - 0.5 * amplitude @ bend @ amplitude)
-        each = []
+        held_out = 0.0
         for k in folds:
             a = _solved(c, bend - curve[k], total - by_fold[k], most)
-            each.append(float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a))
+            held_out += float(a @ by_fold[k] - 0.5 * a @ curve[k] @ a)
         p = score_p(slope[:, amplitude != 0.0])
         if len(cols) == 1:
             scatter = float(np.sqrt(np.square(slope).sum()) / max(bend[0, 0], 1e-300))
         else:
             scatter = 0.0
-        return CandidateScore(
-            c, amplitude, gain, float(np.sum(each)), p, float(np.mean(np.array(each) > 0)), scatter
-        )
+        return CandidateScore(c, held_out, p, scatter)
 
 
 def at_scored(problem: TreeProblem, c: JointCandidate) -> float | None:

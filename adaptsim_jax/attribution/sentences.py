@@ -202,7 +202,7 @@ def _early_commands(problem: TreeProblem, found: Selection) -> list[str]:
     """What a delay below zero means, or one within a row."""
     reads = {e.name for e in problem.effects if e.pairs_rows}.__contains__
     vector = found.final.fit.vector
-    delays = [z for e, z in zip(vector.entries, vector.values, strict=True) if reads(e.owner)]
+    delays = [z for e, z in vector.pairs() if reads(e.owner)]
     named = any(reads(n.candidate.effect) for n in found.named)
     if not delays or (named and min(delays) >= 0.0):
         return []

@@ -20,8 +20,7 @@ LANES = ("trial", "time", "q", "v", "seen", "seen_v", "start", "stamp", "command
 @dataclass(frozen=True)
 class JointTrack:
     """One recorded trial of `n` joints: time [T] s, q [T, n] rad or m (NaN: missing), v [T, n] or
-    None, u [T, n] (torque in N m, or what the joint's actuator was told), group: trials of one kind
-    (a payload, a zero).
+    None, u [T, n] (torque in N m, or what the joint's actuator was told).
     """
 
     name: str
@@ -29,7 +28,16 @@ class JointTrack:
     q: np.ndarray
     v: np.ndarray | None
     u: np.ndarray
-    group: str = ""
+
+    @property
+    def span(self) -> float:
+        """s."""
+        return float(self.time[-1] - self.time[0])
+
+    @property
+    def dt(self) -> float:
+        """Median row, s."""
+        return float(np.median(np.diff(self.time)))
 
 
 @dataclass(frozen=True)
@@ -96,12 +104,11 @@ def cut(
     """
     spans, steps = [], []
     for track in tracks:
-        dt = float(np.median(np.diff(track.time)))
-        stride = max(1, round(row / dt))
-        span = stride * max(STRETCH.min_rows, round(horizon / (stride * dt)))
+        stride = max(1, round(row / track.dt))
+        span = stride * max(STRETCH.min_rows, round(horizon / (stride * track.dt)))
         last = np.arange(len(track.time)) + span
         spans.append(TrialSpans(track.time, track.q, last, stride))
-        steps.append(stride * dt)
+        steps.append(stride * track.dt)
     chosen = stretch_rows(spans, horizon, most)
     rows, own = chosen.compared()
     past, future = (int(np.ceil(z / min(steps))) for z in (STRETCH.past, STRETCH.future))

@@ -169,7 +169,7 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch, factor: float) -> lis
     """Bodies whose fit ends where a body of the file's kind ends: what would explain it."""
     at = set()
     for w in found.searches:
-        for e, z in zip(w.final.entries, w.final.values, strict=True):
+        for e, z in w.final.pairs():
             if e.owner == INERTIA and abs(z) > 0.98 * e.high:
                 at.add(problem.joint_names[e.joints[0]])
     if not at:
@@ -196,7 +196,7 @@ def curves(
         rubbing = {e.name for e in problem.effects if e.traits.resists}
         without = [
             0.0 if e.owner in rubbing and e.off == 0.0 and e.low <= 0.0 else z
-            for e, z in zip(final.entries, final.values, strict=True)
+            for e, z in final.pairs()
         ]
         resists = residual(problem, b, final.at(np.array(without)))
         speed, count = b.averaged(b.v), len(torques)
@@ -204,8 +204,7 @@ def curves(
         gaps = np.where(np.diff(b.trial) != 0, b.time[:-1] - b.time[1:] + 0.5, 0.0)
         clock = b.time + np.concatenate([[0.0], np.cumsum(gaps)])
         for k, j in enumerate(b.group.joints):
-            unit = "N m" if problem.kinds[j] == "hinge" else "N"
-            joint = {"joint": problem.joint_names[j], "unit": unit}
+            joint = {"joint": problem.joint_names[j], "unit": problem.force_units[j]}
             curve = {
                 "time": clock[some],
                 "measured": torques[some, k],

@@ -435,7 +435,7 @@ def acting_joints(vector: Vector, c: JointCandidate) -> tuple[JointCandidate, li
     """A candidate at the joints where it does anything, and the keys of its entries at the
     others.
     """
-    values = {e.key: z for e, z in zip(vector.entries, vector.values, strict=True)}
+    values = vector.known()
     if c.sharing != "all" or all(values[e.key] == e.off for e in c.entries):
         return c, []
     still = [e for e in c.entries if values[e.key] == e.off]

@@ -1,9 +1,9 @@
-"""Algebraic Riccati equations, continuous and discrete, by structure-preserving doubling.
+"""Algebraic Riccati equations of continuous time by structure-preserving doubling.
 
 Chu, Fan & Lin, "A structure-preserving doubling algorithm for continuous-time algebraic Riccati
-equations", Linear Algebra Appl. 396 (2005); Chu, Fan, Lin & Wang, Int. J. Control 77 (2004), for
-the discrete one. The solve works on a whole batch at once (see `small_matrix`) and differentiates
-by the implicit function theorem, in forward and reverse mode and more than once.
+equations", Linear Algebra Appl. 396 (2005). The solve works on a whole batch at once (see
+`small_matrix`) and differentiates by the implicit function theorem, in forward and reverse mode and
+more than once.
 """
 
 from functools import cache
@@ -27,28 +27,20 @@ from adaptsim_jax.control.small_matrix import (
 Array = Any
 
 CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE = 0, 1, 2, 3
-_MESSAGES = {
-    CONVERGED: "converged: the residual is at rounding level",
-    INACCURATE: "inaccurate: the residual is above rounding level; the solution is usable with "
-    "care",
-    NOT_STABILISING: "no stabilising solution found: is (A, B) stabilisable and (A, Q) detectable?",
-    NOT_FINITE: "not finite: the input or an intermediate value is NaN or overflowed",
-}
+"""Result codes: the residual is at rounding level; above it, usable with care; no stabilising
+solution was found (is (A, B) stabilisable and (A, Q) detectable?); the input or an intermediate
+value is NaN or overflowed.
+"""
 
 
 class RiccatiSolution(NamedTuple):
     """`P: [n, n]` symmetric; `residual: []` relative to the equation's terms; `code: []` int32, 0
-    is good, see `riccati_message`.
+    is good.
     """
 
     P: Array
     residual: Array
     code: Array
-
-
-def riccati_message(code: int) -> str:
-    """What a result code of `solve_care` or `solve_dare` means."""
-    return _MESSAGES[int(code)]
 
 
 def solve_care(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
@@ -57,12 +49,10 @@ def solve_care(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
     `A: [n, n]`, `B: [n, m]`, `Q: [n, n]`, `R: [m, m]`; Q and R enter through their symmetric parts.
     Values never raise: read `code`.
     """
-    return _solution(_care, A, B, Q, R)
-
-
-def solve_dare(A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
-    """Stabilising `P` of `P = A'PA - A'PB (R + B'PB)^-1 B'PA + Q`. Shapes as in `solve_care`."""
-    return _solution(_dare, A, B, Q, R)
+    dtype = jnp.result_type(A, B, Q, R, float)
+    A, B, Q, R = (jnp.asarray(x, dtype) for x in (A, B, Q, R))
+    P, residual, code = _care(A, B, symmetric(Q), symmetric(R))
+    return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
 
 def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
@@ -71,22 +61,6 @@ def care_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
     """
     PA, PB = mm(P, A), mm(P, B)
     return PA + transpose(PA) - mm(PB, solve(R, transpose(PB))) + Q
-
-
-def dare_residual(A: Array, B: Array, Q: Array, R: Array, P: Array) -> Array:
-    """`A'PA - A'PB (R + B'PB)^-1 B'PA + Q - P`, `[n, n]`, with or without trailing batch axes."""
-    PA, PB = mm(P, A), mm(P, B)
-    APB = mm(transpose(A), PB)
-    open_loop = mm(transpose(A), PA)
-    feedback = mm(APB, solve(R + mm(transpose(B), PB), transpose(APB)))
-    return open_loop - feedback + Q - P
-
-
-def _solution(solver: Any, A: Array, B: Array, Q: Array, R: Array) -> RiccatiSolution:
-    dtype = jnp.result_type(A, B, Q, R, float)
-    A, B, Q, R = (jnp.asarray(x, dtype) for x in (A, B, Q, R))
-    P, residual, code = solver(A, B, symmetric(Q), symmetric(R))
-    return RiccatiSolution(P, residual, code.astype(jnp.int32))
 
 
 # --- the doubling ---
@@ -178,12 +152,6 @@ def _care_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, A
     return _with_code(P, norm(PA + transpose(PA) - PGP + Q) / terms, settled)
 
 
-def _dare_batch(A: Array, B: Array, Q: Array, R: Array) -> tuple[Array, Array, Array]:
-    P, settled = _doubling(A, symmetric(mm(B, solve(R, transpose(B)))), Q)
-    terms = norm(Q) + norm(P) + norm(mm(transpose(A), mm(P, A)))
-    return _with_code(P, norm(dare_residual(A, B, Q, R, P)) / terms, settled)
-
-
 def _with_code(P: Array, residual: Array, settled: Array) -> tuple[Array, Array, Array]:
     """Result code by the relative residual; a float here, since it shares a derivative rule with
     P.
@@ -217,23 +185,6 @@ def _care_jvp(primals: Any, tangents: Any) -> Any:
     eye = jnp.eye(A.shape[0], dtype=A.dtype)
     operator = jnp.kron(closed.T, eye) + jnp.kron(eye, closed.T)
     dP = -jnp.linalg.solve(operator, S.reshape(-1)).reshape(S.shape)
-    return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
-
-
-@jax.custom_jvp
-def _dare(A: Array, B: Array, Q: Array, R: Array) -> Any:
-    return _batched(_dare_batch)(A, B, Q, R)
-
-
-@_dare.defjvp
-def _dare_jvp(primals: Any, tangents: Any) -> Any:
-    A, B, Q, R = primals
-    P, residual, code = _dare(A, B, Q, R)
-    _, S = jax.jvp(lambda a, b, q, r: dare_residual(a, b, q, r, P), primals, tangents)
-    PB = mm(P, B)
-    closed = A - mm(B, solve(R + mm(transpose(B), PB), mm(transpose(PB), A)))
-    operator = jnp.eye(A.size, dtype=A.dtype) - jnp.kron(closed.T, closed.T)
-    dP = jnp.linalg.solve(operator, S.reshape(-1)).reshape(S.shape)
     return (P, residual, code), (symmetric(dP), jnp.zeros_like(residual), jnp.zeros_like(code))
 
 

@@ -21,7 +21,7 @@ from adaptsim_jax.effects.base import Effect
 
 
 def discriminating(
-    simulator: Simulator, problem: Problem, found: Finding, proposals: Mapping[str, Simulator]
+    simulator: Simulator, found: Finding, proposals: Mapping[str, Simulator]
 ) -> dict[str, Any] | None:
     """Where a named effect has a look-alike: which of the proposals parts the two most, or which
     recorded trial does where there are none; None where every name stands alone.
@@ -31,7 +31,7 @@ def discriminating(
     """
     for n in found.named:
         for rival, model in zip(n.alternatives, n.models, strict=True):
-            tried = {f"{name}": other for name, other in proposals.items()} or {"": simulator}
+            tried = dict(proposals) or {"": simulator}
             separation = {
                 (key, trial): size
                 for key, sim in tried.items()

@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptsim_jax.diagnosis.criteria import RESTART
 from adaptsim_jax.diagnosis.problem import Problem
-from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
+from adaptsim_jax.diagnosis.steps import FitEnd, Point, bounded_step, fit_values
 
 MAX_START_GROUPS = 4  # groups of starts that the declared fit may begin from, one after the other
 
@@ -47,6 +47,12 @@ def fitted(
     problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int
 ) -> tuple[np.ndarray, float]:
     """`names` fitted from `values [P]` for at most so many rounds: values and the loss."""
+    point = reached(problem, names, values, rounds).point
+    return point.state[0], point.loss
+
+
+def reached(problem: Problem, names: Sequence[str], values: np.ndarray, rounds: int) -> FitEnd:
+    """Where the same fit ends, and how; a point's state is its values and what they leave."""
     count = len(problem.trials)
 
     def at(values: np.ndarray) -> Point:
@@ -62,8 +68,7 @@ def fitted(
         excess = max(1.0, point.loss / max(problem.counts.sum(), 1))
         return lambda damping: at(bounded(problem, names, values, hess, slope, damping * excess))
 
-    found = fit_values(at(values.copy()), around, rounds, damping=0.0, relief=0.0)
-    return found.point.state[0], found.point.loss
+    return fit_values(at(values.copy()), around, rounds, damping=0.0, relief=0.0)
 
 
 def settled(

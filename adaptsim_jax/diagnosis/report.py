@@ -267,6 +267,44 @@ def interval_units(part: np.ndarray, trial: np.ndarray) -> tuple[str, np.ndarray
     return f"{parts} parts of {of}", part
 
 
+def page_tracks(
+    names: Sequence[str],
+    units: Mapping[str, str],
+    trial: np.ndarray,
+    time: np.ndarray,
+    shown: Mapping[str, np.ndarray],
+    most: int | None = None,
+) -> list[dict[str, Any]]:
+    """Each trial's stretches one after the other, for the page.
+
+    Args:
+        names: Of the trials.
+        units: Of the channels, by name.
+        trial, time: `[W]` of each stretch, and `[W, R]` s.
+        shown: By key `[W, R, C]`, NaN where nothing was measured.
+        most: Stretches of a trial that are shown.
+    """
+
+    def ended(z: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Stretches as one row, each with a last number of its own."""
+        return np.concatenate([z, last[:, None]], 1).ravel()
+
+    out = []
+    for t, name in enumerate(names):
+        mine = np.flatnonzero(trial == t)[:most]
+        if not len(mine):
+            continue
+        gap = np.full(len(mine), np.nan)
+        tracks = {
+            key: {c: ended(z[mine, :, k], gap) for k, c in enumerate(units)}
+            for key, z in shown.items()
+        }
+        clock = ended(time[mine], time[mine, -1])
+        row = {"trial": name, "units": dict(units), "time": clock, **tracks}
+        out.append(row | {"after": tracks.get("after")})
+    return out
+
+
 def withhold_names(report: dict[str, Any], why: str, left: bool) -> None:
     """Put a report's names among what is not established, since its model predicts nothing, in
     place.

@@ -275,11 +275,11 @@ def _place(error: Any) -> str:
     return error.json_path.removeprefix("$").removeprefix(".") or "the report"
 
 
-def _brief(message: str, most: int = 160) -> str:
+def _brief(message: str) -> str:
     """A message of the validator, which quotes the whole value, short enough for a line."""
-    if len(message) <= most:
+    if len(message) <= 160:
         return message
-    return f"{message[: most // 2]} ... {message[-most // 2 :]}"
+    return f"{message[:80]} ... {message[-80:]}"
 
 
 def _contradictions(verdict: Any, effects: list) -> list[str]:

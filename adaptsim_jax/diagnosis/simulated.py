@@ -25,13 +25,14 @@ from adaptsim_jax.diagnosis.report import (
     Headline,
     error_rows,
     interval_units,
+    page_tracks,
     report_of,
     withhold_names,
 )
 from adaptsim_jax.diagnosis.run import Page, Run
 from adaptsim_jax.diagnosis.simulator import Simulator, check_simulator
 from adaptsim_jax.diagnosis.starts import problem_of
-from adaptsim_jax.diagnosis.straight import doing_nothing
+from adaptsim_jax.diagnosis.straight import doing_nothing, skill
 from adaptsim_jax.diagnosis.testing import smallest_p
 from adaptsim_jax.diagnosis.trials import search_trials
 from adaptsim_jax.diagnosis.written import MODEL, Output, cleared, finished, keeping
@@ -115,7 +116,7 @@ def reported(
         "not_established": rows.same_rows(found, "stretch"),
         "power": power_rows(problem, found, criteria),
         "notes": [*few(problem), *notes(by_name(problem, found.final))],
-        "next_experiment": discriminating(simulator, problem, found, proposals),
+        "next_experiment": discriminating(simulator, found, proposals),
     }
     account = Account(
         "simulator",
@@ -132,7 +133,13 @@ def reported(
     )
     report = report_of(found, account)
     check_skill(report, criteria)
-    return report, {"audit": [], "held_out": _held_out(simulator, tracks, bool(found.named))}
+    shown = {"measured": s.measured, **tracks}
+    if not found.named:
+        del shown["after"]
+    shown = {key: np.where(s.seen > 0, z, np.nan) for key, z in shown.items()}
+    units = {c.name: c.unit for c in simulator.channels}
+    curves = page_tracks(s.names, units, s.trial, s.time, shown)
+    return report, {"audit": [], "held_out": curves}
 
 
 def unweighted(problem: Problem, model: Model) -> Model:
@@ -244,47 +251,3 @@ def _error(
     )
     zero = {"straight_line": line, "hold_still": still}
     return table | zero | {"skill": {k: skill(table[k], line, still) for k in both}}
-
-
-def _held_out(
-    simulator: Simulator, tracks: Mapping[str, np.ndarray], mended: bool
-) -> list[dict[str, Any]]:
-    """Each trial's stretches one after the other, measured and predicted while left out, for the
-    page.
-    """
-    s, out = simulator.stretches, []
-    for t, name in enumerate(s.names):
-        mine = np.flatnonzero(s.trial == t)
-        if not len(mine):
-            continue
-
-        def observed(z, w, c):
-            return np.append(np.where(s.seen[w, :, c] > 0, z[w, :, c], np.nan), np.nan)
-
-        def flat(z, c, mine=mine, observed=observed):
-            return np.concatenate([observed(z, w, c) for w in mine])
-
-        def of(z, flat=flat):
-            return {ch.name: flat(z, c) for c, ch in enumerate(simulator.channels)}
-
-        time = np.concatenate([np.append(s.time[w], s.time[w, -1]) for w in mine])
-        after = of(tracks["after"]) if mended else None
-        out.append(
-            {
-                "trial": name,
-                "units": {ch.name: ch.unit for ch in simulator.channels},
-                "time": time,
-                "measured": of(s.measured),
-                "before": of(tracks["before"]),
-                "after": after,
-            }
-        )
-    return out
-
-
-def skill(error: float, line: float, still: float) -> float | None:
-    """1 - error / the better of a straight line and holding still; None where nothing moved."""
-    lowest = min(line, still)
-    if lowest > 0.0:
-        return 1.0 - error / lowest
-    return None

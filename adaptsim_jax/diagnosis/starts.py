@@ -201,7 +201,6 @@ class Linearised:
 def problem_of(
     simulator: Simulator,
     candidates: Sequence[Effect] | None = None,
-    begun: np.ndarray | None = None,
 ) -> Problem:
     """The search's problem (`diagnosis.problem`) of a simulator: `residuals` and `columns` as
     functions of values alone.
@@ -209,7 +208,6 @@ def problem_of(
     Args:
         simulator: see `simulator.Simulator`.
         candidates: those that are considered, the simulator's own where None.
-        begun: points `[N, P]` from which the declared fit may begin. The neutral one where None.
 
     A stretch that is far worse followed than others (its start is caught at another contact) counts
     less, so that it does not decide.
@@ -228,7 +226,6 @@ def problem_of(
     free = np.maximum((s.seen > 0).sum((1, 2)) - s.start.shape[1], 1)
     wanted = _started_separately(wanted, quantities, around)
     trials = tuple(s.names[t] for t in s.trial)
-    begun = neutral[None] if begun is None else begun
     return Problem(
         quantities,
         tuple(simulator.declared),
@@ -237,7 +234,7 @@ def problem_of(
         around.columns,
         free,
         trials,
-        begun,
+        neutral[None],
         channels=len(simulator.channels),
         fold=fold,
         block=block,

@@ -149,7 +149,6 @@ def fit_values(
     relief: float = DAMPING_DOWN,
     done: Callable[[Point, Point, int], bool] = fell,
     taken: Callable[[Point], Point] = lambda point: point,
-    stuck: Callable[[Point], Point | None] = lambda point: None,
 ) -> FitEnd:
     """Damped steps of values, each from a linearisation, while they lower the loss.
 
@@ -161,9 +160,7 @@ def fit_values(
         relief: times the damping after a step that gained.
         done: whether the second point after so many rounds is good enough for an end.
         taken: what becomes of a point that was taken (new weights).
-        stuck: another point to go on from where no step helps, if there is one.
     """
-    first = damping
     for k in range(rounds):
         step, trial = around(point), None
         for _ in range(MAX_DAMPINGS):
@@ -176,11 +173,7 @@ def fit_values(
                 break
             damping = max(DAMPING_UP * damping, FIRST_DAMPING)
         if trial is None:
-            other = stuck(point)
-            if other is None:
-                return FitEnd(point, "converged" if k and damping > MAX_DAMPING else "stuck", k)
-            point, damping = other, first
-            continue
+            return FitEnd(point, "converged" if k and damping > MAX_DAMPING else "stuck", k)
         ended = done(point, trial, k + 1)
         point, damping = taken(trial), max(relief * damping, MIN_DAMPING)
         if ended:
@@ -218,7 +211,6 @@ def fit_starts(
     evaluate: Evaluate,
     rounds: int,
     enough: float = CONVERGED_GAIN,
-    lanes: np.ndarray | None = None,
     every: bool = False,
 ) -> StretchLanes:
     """Starts fitted with all values held, each stretch by itself until a round gains it little.
@@ -230,12 +222,11 @@ def fit_starts(
         evaluate: what starts leave.
         rounds: of proposals at most.
         enough: share of its loss that a round must take off a stretch for another.
-        lanes: stretches that are fitted; all where None.
         every: whether a stretch takes the best of all proposals, and not the first that lowers its
             loss (where contact bends it, the first may be a small part of what can be had).
     """
     starts, left, loss = (z.copy() for z in begun)
-    on = np.arange(len(loss)) if lanes is None else lanes
+    on = np.arange(len(loss))
     for _ in range(rounds):
         if not len(on):
             break

@@ -36,3 +36,11 @@ def doing_nothing(
         return np.sqrt((np.square(off) * seen).sum(1) / count)
 
     return rms(line), rms(still)
+
+
+def skill(error: float, line: float, still: float) -> float | None:
+    """1 - error / the better of a straight line and holding still; None where nothing moved."""
+    lowest = min(line, still)
+    if lowest > 0.0:
+        return 1.0 - error / lowest
+    return None

@@ -88,7 +88,6 @@ class Quantity:
     - `held`: A shape that is chosen on the grid and not fitted.
     - `optional`: It may be left out of a `model.toml`, and is `default` there.
     - `meaning`: What it is, where its name does not say.
-    - `late`: A mended pendulum keeps it at its default unless its file says otherwise.
     - `prior`: Standard deviation about `default` beforehand, in `unit`; at a joint scaled as the
       bounds are.
     - `mjcf`: What of a joint (damping, frictionloss, armature, stiffness, preload), of its actuator
@@ -108,7 +107,6 @@ class Quantity:
     held: bool = False
     optional: bool = False
     meaning: str = ""
-    late: bool = False
     prior: float = float("inf")
     mjcf: str = ""
     factor: bool = False
@@ -151,30 +149,13 @@ class Dry(NamedTuple):
     `force` beside it.
 
     The level is a number, not a force, because only the integrator knows which force at rest stops
-    the motion. With a `width` [rad/s] the direction turns as tanh(v / width), and a joint that is
-    held creeps. What holds it is a spring that gives way by `yielding` [rad/(N m)], which only
+    the motion. What holds it is a spring that gives way by `yielding` [rad/(N m)], which only
     mechanisms other than the double pendulum know.
     """
 
     level: jax.Array
     force: jax.Array | float = 0.0
-    width: jax.Array | float = 0.0
     yielding: jax.Array | float = 0.0
-
-
-@dataclass(frozen=True)
-class Sharp:
-    """An effect's `apply` with dry friction of no width, whatever its parameters: known when
-    compiled, it is a tenth of the work where environments are batched.
-    """
-
-    apply: Callable
-
-    def __call__(self, p, motion: Motion):
-        answer = self.apply(p, motion)
-        if isinstance(answer, Dry):
-            return answer._replace(width=0.0)
-        return answer
 
 
 class Relaxation(NamedTuple):

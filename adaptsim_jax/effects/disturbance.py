@@ -31,15 +31,8 @@ def bias(p, m: Motion):
 
 
 def cogging(p, m: Motion):
-    """A ripple and its second harmonic, which is written as a share of the first and turned with
-    it.
-    """
-    at = p["order"] * m.q
-    sine, cosine, ahead, across = p["sine"], p["cosine"], p["second_sine"], p["second_cosine"]
-    sin, cos = sin_cos(at)
-    second_sine, second_cosine = sine * ahead - cosine * across, sine * across + cosine * ahead
-    first = sine * sin + cosine * cos
-    return first + second_sine * 2.0 * sin * cos + second_cosine * (cos * cos - sin * sin)
+    sin, cos = sin_cos(p["order"] * m.q)
+    return p["sine"] * sin + p["cosine"] * cos
 
 
 def at_phase(p, m: Motion):
@@ -71,33 +64,12 @@ PENDULUM_COGGING = Effect(
         Quantity("sine", "N m", -1.0, 1.0),
         Quantity("cosine", "N m", -1.0, 1.0),
         Quantity("order", "1", 2.0, 200.0, 7.0, shape=True, meaning="periods a turn"),
-        Quantity(
-            "second_sine",
-            "1",
-            -1.0,
-            1.0,
-            shape=True,
-            optional=True,
-            meaning="second harmonic",
-            late=True,
-        ),
-        Quantity(
-            "second_cosine",
-            "1",
-            -1.0,
-            1.0,
-            shape=True,
-            optional=True,
-            meaning="second harmonic",
-            late=True,
-        ),
     ),
     cogging,
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
     "slow sweeps over many periods",
     ("spring",),
-    grid=orders,
-    formula="sine sin(order q) + cosine cos(order q) + second harmonic",
+    formula="sine sin(order q) + cosine cos(order q)",
 )
 
 PENDULUM_PERIODIC_DISTURBANCE = Effect(
@@ -172,7 +144,6 @@ PENDULUM_HEAVE = Effect(
     "long trials at wide angles, where gravity pulls",
     ("sway", "periodic_disturbance"),
     scope="base",
-    grid=frequencies,
     formula="a gravity(q), a = sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), at both "
     "joints",
 )
@@ -186,6 +157,5 @@ PENDULUM_SWAY = Effect(
     "long trials through hanging and upright",
     ("heave", "periodic_disturbance"),
     scope="base",
-    grid=frequencies,
     formula="sqrt(1 + a^2) gravity(q1 + atan a) - gravity(q1), a as of heave, at both joints",
 )

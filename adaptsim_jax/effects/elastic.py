@@ -4,9 +4,6 @@ import jax.numpy as jnp
 
 from adaptsim_jax.effects.base import Effect, Motion, Quantity
 
-STIFF = 30.0  # N m/rad for each N m of the rig's torque: as hard as most stops are
-HERTZ_DEPTH = 0.1  # rad, at which stiffness is defined whatever the exponent
-
 
 def stops(reach, joint):
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
@@ -15,41 +12,18 @@ def stops(reach, joint):
     return upper + [{"angle": low + span * s, "side": -1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
 
 
-def stiff_stops(reach, joint):
-    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
-    throws the model so far off that a linear score makes it soft and puts it well inside. From
-    there no fit finds the way to it.
-    """
-    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
-    stiff = {"stiffness": STIFF * float(reach.torque[joint]), "loss": 0.0, "damping": 0.0}
-    inside = [0.015 * s * (high - low) for s in (0.0, 1.0)]
-    return [stiff | {"angle": high - d, "side": 1.0} for d in inside] + [
-        stiff | {"angle": low + d, "side": -1.0} for d in inside
-    ]
-
-
 def spring(p, m: Motion):
-    """A cubic about any angle, written about zero: a spring that hardens need not do so about the
-    joint's zero.
-    """
-    linear = p["stiffness"] * m.q
-    return p["preload"] - linear * (1.0 + p["bend"] * m.q + p["hardening"] * m.q**2)
+    return p["preload"] - p["stiffness"] * m.q
 
 
 def hard_stop(p, m: Motion):
     """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where
     it is -1.
 
-    It loses energy as a dashpot beside the spring (`damping`, Kelvin and Voigt), or in proportion
-    to the depth (`loss`; Hunt and Crossley, 1975). A round contact is softer where it touches:
-    `exponent` 1.5 is Hertz's, and the stiffness is then force over depth at `HERTZ_DEPTH`.
+    It loses energy in proportion to the depth (`loss`; Hunt and Crossley, 1975).
     """
     depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
-    inward = p["side"] * m.v
-    spring_like = depth * jnp.power(jnp.maximum(depth, 1e-6) / HERTZ_DEPTH, p["exponent"] - 1.0)
-    pressed = spring_like * (1.0 + p["loss"] * inward) + jnp.where(
-        depth > 0.0, p["damping"] * inward, 0.0
-    )
+    pressed = depth * (1.0 + p["loss"] * p["side"] * m.v)
     return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
 
 
@@ -59,26 +33,13 @@ PENDULUM_SPRING = Effect(
     (
         Quantity("stiffness", "N m/rad", -5.0, 5.0, sign=1),
         Quantity("preload", "N m", -5.0, 5.0),
-        Quantity(
-            "bend", "1/rad", -5.0, 5.0, shape=True, optional=True, meaning="lopsidedness", late=True
-        ),
-        Quantity(
-            "hardening",
-            "1/rad^2",
-            -5.0,
-            5.0,
-            shape=True,
-            optional=True,
-            meaning="cubic share",
-            late=True,
-        ),
     ),
     spring,
     "a torsional spring, or a cable that pulls back; at rest at preload / stiffness",
     "a wide range of angles",
     ("bias", "tilt", "encoder_offset", "hard_stop"),
     contains=("bias",),
-    formula="preload - stiffness q (1 + bend q + hardening q^2)",
+    formula="preload - stiffness q",
     title="torsional spring",
 )
 
@@ -107,34 +68,11 @@ PENDULUM_HARD_STOP = Effect(
             optional=True,
             meaning="energy lost in proportion to depth",
         ),
-        Quantity(
-            "damping",
-            "s",
-            0.0,
-            0.5,
-            shape=True,
-            optional=True,
-            meaning="a dashpot beside the spring, over its stiffness",
-        ),
-        Quantity(
-            "exponent",
-            "1",
-            0.7,
-            2.5,
-            1.0,
-            shape=True,
-            optional=True,
-            meaning="of depth; 1.5 is Hertz's",
-            late=True,
-        ),
     ),
     hard_stop,
     "an end stop or a taut cable beyond an angle",
     "motion into the stop, and well inside it",
     ("spring", "cogging"),
     smooth=False,
-    grid=stops,
-    starts=stiff_stops,
-    formula="-side stiffness max(0, depth^exponent (1 + loss depth') + damping depth'), depth = "
-    "max(0, side (q - angle))",
+    formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
 )

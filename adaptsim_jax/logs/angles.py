@@ -66,13 +66,12 @@ def _declared(table: Mapping[str, V], index: int, joint: str, default: V) -> V:
 
 @dataclass(frozen=True)
 class Turns:
-    """`q [T]` without jumps of whole periods, `count` of them taken out, `period` in rad; `unsure`:
-    rows before a gap in which an encoder that wraps may have counted more than can be told.
+    """`q [T]` without jumps of whole periods, `count` of them taken out; `unsure`: rows before a
+    gap in which an encoder that wraps may have counted more than can be told.
     """
 
     q: np.ndarray
     count: int
-    period: float
     unsure: tuple[int, ...] = ()
 
 
@@ -83,7 +82,7 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     as its whole range.
     """
     if len(q) < 4:
-        return Turns(q, 0, TURN)
+        return Turns(q, 0)
     jump, dt = np.diff(q), np.diff(time)
     gap = dt > WRAP.gap * np.median(dt)
     period = _other_period(q, ~gap) or TURN
@@ -107,9 +106,9 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     unsure = gap & within & ~counted & (moved | (np.abs(jump) > WRAP.half * period))
     steps = tuple(np.flatnonzero(unsure).tolist())
     if not taken.any():
-        return Turns(q, 0, period, steps)
+        return Turns(q, 0, steps)
     out = q - period * np.concatenate([[0.0], np.cumsum(taken)])
-    return Turns(out, int(np.count_nonzero(taken)), period, steps)
+    return Turns(out, int(np.count_nonzero(taken)), steps)
 
 
 def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:

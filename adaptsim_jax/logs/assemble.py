@@ -20,7 +20,7 @@ from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
 from adaptsim_jax.logs.log import Log, LogTrial, ModelNames
-from adaptsim_jax.logs.log_meta import LogMeta, of_trial
+from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.quality.consistency import jitter
 from adaptsim_jax.logs.quality.holes import holes
 from adaptsim_jax.logs.repeats import read_once
@@ -42,7 +42,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     trials = [columns_of(trial, names, meta) for trial in raw]
     scales = check_scales(trials, names)
     retained, held = _moving(path, trials, names, meta)
-    inputs = choose_inputs(path, trials, names, meta, [names.joints[j] for j in retained])
+    inputs = choose_inputs(trials, names, meta, [names.joints[j] for j in retained])
     log_trials = tuple(_trial(columns, names, meta, inputs, retained) for columns in trials)
     _check_clocks(raw, log_trials)
     log_trials, paused = _unpaused(log_trials)
@@ -212,13 +212,8 @@ def _input_columns(trial: RawTrial, names: ModelNames, inputs: Inputs) -> tuple[
 
 def _selected(path: str, raw: list[RawTrial], meta: LogMeta) -> list[RawTrial]:
     names = [trial.name for trial in raw]
-    for key, patterns in (
-        ("exclude", meta.exclude),
-        ("group", meta.group),
-        ("payload", meta.payload),
-    ):
-        there = [pattern for pattern in patterns if fnmatch.filter(names, pattern)]
-        _check_named(meta, f"trials.{key}", patterns, there, f"no trial of {path}", names)
+    there = [pattern for pattern in meta.exclude if fnmatch.filter(names, pattern)]
+    _check_named(meta, "trials.exclude", meta.exclude, there, f"no trial of {path}", names)
     retained = [
         trial for trial in raw if not any(fnmatch.fnmatchcase(trial.name, p) for p in meta.exclude)
     ]
@@ -413,8 +408,6 @@ def _trial(
         q=q,
         v=v,
         u=inputs.of(columns, names, meta, at),
-        group=of_trial(meta.group, raw.name, ""),
-        payload=of_trial(meta.payload, raw.name, 0.0),
         extra=extra,
         base=columns.base,
         channels=columns.channels,

@@ -112,7 +112,7 @@ def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.nd
 
 
 def choose_inputs(
-    path: str, trials: list[JointColumns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
+    trials: list[JointColumns], names: ModelNames, meta: LogMeta, moving: Sequence[str]
 ) -> Inputs:
     """Which columns drive the model in all trials.
 

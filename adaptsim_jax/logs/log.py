@@ -111,8 +111,6 @@ class LogTrial:
       actuators were told (command), V, A.
     - `extra`: Other quantities of the file by their stem (`tau_commanded`, `target`, ...), each
       `[T, n]` and NaN for joints without.
-    - `group`: Trials that belong together.
-    - `payload`: kg at the tip.
     - `base [T, 7]`: m and a unit quaternion (w first) of a free base, None where not logged.
     - `channels`: By sensor of the model (`gyro[0]`) what `[channels]` compares with it `[T]`, in
       the sensor's unit.
@@ -123,12 +121,15 @@ class LogTrial:
     q: np.ndarray
     v: np.ndarray | None
     u: np.ndarray
-    group: str = ""
-    payload: float = 0.0
     path: str = ""
     extra: dict[str, np.ndarray] = field(default_factory=dict)
     base: np.ndarray | None = None
     channels: dict[str, np.ndarray] = field(default_factory=dict)
+
+    @property
+    def span(self) -> float:
+        """s."""
+        return float(self.time[-1] - self.time[0])
 
     @property
     def dt(self) -> float:

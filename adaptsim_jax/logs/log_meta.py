@@ -50,6 +50,7 @@ ANGLE_KEYS = ("convention", "zero", "reversed")
 COMMAND_KEYS = ("rate", "within", "targets")
 TARGETS = ("absolute", "relative")
 TRIAL_KEYS = ("exclude", "group", "payload", "commands")
+"""Groups and payloads are for people."""
 ROS_KEYS = ("state_topic", "command_topic", "trajectory")
 TRAJECTORY = ("ramp", "hold")
 
@@ -91,12 +92,12 @@ class LogMeta:
     - `noise`: Column, joint, stem (`q`, `v`) or quantity -> standard deviation in SI units: the
       least that readings count as.
     - `exclude`: Trials left out.
-    - `group`, `payload`: Trial -> group, kg (patterns like `kp100_*` may stand for several trials).
     - `rate`, `within`: Joint -> what a target is cut to before it is sent, by a rate (rad/s, m/s)
       or to within a distance of the angle (rad, m).
     - `targets`: What they are: angles, or how far from the angle of their row. None: angles, unless
       these tell that they are none.
-    - `commands`: Trial -> the file beside the data that holds its commands.
+    - `commands`: Trial -> the file beside the data that holds its commands (patterns like `kp100_*`
+      may stand for several trials).
     - `hold`: Joint -> rad or m that it is held at (None: where the log or the file has it).
     - `rows_per_second`: Of tables without a time.
     - `simulator`: The one of tree and mujoco, None: by what the model needs.
@@ -119,8 +120,6 @@ class LogMeta:
     fit: Mapping[str, Any] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     exclude: tuple[str, ...] = ()
-    group: Mapping[str, str] = field(default_factory=dict)
-    payload: Mapping[str, float] = field(default_factory=dict)
     ros: Mapping[str, str | Sequence[str]] = field(default_factory=dict)
     hold: Mapping[str, float | None] = field(default_factory=dict)
     rows_per_second: float | None = None
@@ -182,11 +181,7 @@ def read_log_meta(path: str | Path) -> LogMeta:
         fit=table["fit"],
         noise={key: not_negative(path, f"noise.{key}", std) for key, std in table["noise"].items()},
         exclude=_texts(path, "trials.exclude", trials.get("exclude", [])),
-        group=_groups(path, trials.get("group", {})),
-        payload=_payloads(path, trials.get("payload", {})),
-        commands=_groups(
-            path, trials.get("commands", {}), "commands", 'commands = {run = "control.csv"}'
-        ),
+        commands=_commands(path, trials.get("commands", {})),
         ros=_ros(path, table["ros"]),
         rate=_sizes(path, "rate", commands, "rate = {elbow = 3.0}, in rad/s or m/s"),
         within=_sizes(path, "within", commands, "within = {elbow = 0.1}, in rad or m"),
@@ -309,27 +304,20 @@ def _conventions(path: Path, value: Any) -> dict[str, str]:
     return dict(value)
 
 
-def _groups(
-    path: Path, value: Any, key: str = "group", example: str = 'group = {trial_00 = "loaded"}'
-) -> dict[str, str]:
-    """Trial (or pattern) -> group, from `{trial = "group"}` or `{group = ["trial", ...]}`."""
+def _commands(path: Path, value: Any) -> dict[str, str]:
+    """Trial (or pattern) -> file, from `{trial = "file"}` or `{file = ["trial", ...]}`."""
     if not isinstance(value, dict):
-        raise BadInput(f"{path}: trials.{key} must be a table, not {brief(value)}; write {example}")
+        raise BadInput(
+            f"{path}: trials.commands must be a table, not {brief(value)}; write commands = "
+            '{run = "control.csv"}'
+        )
     out: dict[str, str] = {}
     for name, item in value.items():
         if isinstance(item, list):
-            out |= {trial: str(name) for trial in _texts(path, f"trials.{key}.{name}", item)}
+            out |= {trial: str(name) for trial in _texts(path, f"trials.commands.{name}", item)}
         else:
-            out[name] = text(path, f"trials.{key}.{name}", item)
+            out[name] = text(path, f"trials.commands.{name}", item)
     return out
-
-
-def _payloads(path: Path, value: Any) -> dict[str, float]:
-    given = _numbers(path, "trials.payload", value, "payload = {trial_03 = 0.2}, in kg")
-    return {
-        name: not_negative(path, f"trials.payload.{name}", mass, "a mass in kg")
-        for name, mass in given.items()
-    }
 
 
 def of_trial(table: Mapping[str, V], trial: str, default: V) -> V:

@@ -3,22 +3,20 @@
 
 A plant is a mechanical model in generalized coordinates,
 
-    d/dt momentum(theta, q, v) = push(theta, q, v) + u + force,
+    mass(theta, q) dv/dt = push(theta, q, v) + u + force,
 
 whose two sides are linear in `theta` (for a rigid body these are the base parameters: Gautier and
-Khalil, 1990), so that a start value comes from linear regression and the data can fix what they can
-fix, no more.
+Khalil, 1990), so that the data can fix what they can fix, no more.
 Arrays carry any trailing batch axes: `x: [S, ...]`, `u: [U, ...]`, `force: [n, ...]`.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import lsq_linear
 
 from adaptsim_jax.core.trig import once
 
@@ -35,8 +33,6 @@ class Plant:
     - `mass(constants, theta, q [n, ...])`: Rows of entries, each a number or `[...]`.
     - `gravity(constants, theta, q)`: `[n, ...]`.
     - `push(constants, theta, q, v)`: `[n, ...]`, all forces but the input.
-    - `momentum_push(constants, theta, q, v)`: `[n, ...]`, what changes the momentum `mass v` beside
-      the input. It is for the regression.
     """
 
     name: str
@@ -47,13 +43,9 @@ class Plant:
     mass: Callable
     push: Callable
     gravity: Callable
-    momentum_push: Callable
     constants: Mapping[str, np.ndarray]
     low: np.ndarray  # [P]
     high: np.ndarray  # [P]; low == high marks a known parameter
-    sound: Callable | None = (
-        None  # (constants, theta) -> theta with which the model can be simulated at all
-    )
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -87,36 +79,6 @@ class Plant:
         rows = self.mass(self.constants, theta, q)
         return jnp.stack([jnp.stack([m + jnp.zeros_like(q[0]) for m in row]) for row in rows])
 
-    def initial_theta(
-        self,
-        motions: list[tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]],
-        interval: float = 0.1,
-    ):
-        """Start value `[P]` by linear regression on momentum balances over `interval` s.
-
-        Args:
-            motions: Per trial `(time [T], q [T, n], v [T, n], torque [T, n])`, smoothed. Balances
-                over intervals need no acceleration, which noise would drown.
-        """
-        return self._regressed([_balances(self, *m, interval) for m in motions])
-
-    def _regressed(self, balances: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-        design, target = (np.concatenate(z) for z in zip(*balances, strict=True))
-        theta = _bounded_regression(design, target, self.low, self.high)
-        if self.sound is None:
-            return theta
-        return np.clip(self.sound(self.constants, theta), self.low, self.high)
-
-    def unscaled(self) -> "Plant":
-        """The plant for motions on which no torque acts, which fix `theta` up to a common factor:
-        the first is held at 1, unless one of them is known.
-        """
-        if np.any(self.low == self.high):
-            return self
-        low, high = self.low.copy(), self.high.copy()
-        low[0] = high[0] = 1.0
-        return replace(self, low=low, high=high)
-
 
 jax.tree_util.register_dataclass(
     Plant,
@@ -130,8 +92,6 @@ jax.tree_util.register_dataclass(
         "mass",
         "push",
         "gravity",
-        "momentum_push",
-        "sound",
     ],
 )
 
@@ -212,52 +172,3 @@ def solve_mass(mass: Rows, inertia: Rows, total: Rows) -> list[jax.Array]:
     column = jnp.stack(list(total), -1)[..., None]
     solved = jnp.linalg.solve(full, column)[..., 0]
     return list(jnp.moveaxis(solved, -1, 0))
-
-
-def _balances(plant: Plant, time, q, v, torque, interval: float):
-    """Momentum balances over consecutive intervals: `[R * n, P]` and `[R * n]` (impulse, N m s)."""
-    momentum, push = _columns(plant, q, v)
-    dt = np.diff(time)
-    mean = 0.5 * (push[:, 1:] + push[:, :-1])
-    pushed = np.cumsum(mean * dt[None, :, None], 1)
-    pushed = np.concatenate([np.zeros_like(push[:, :1]), pushed], 1)
-    impulse = np.cumsum(torque[:-1] * dt[:, None], 0)
-    impulse = np.concatenate([np.zeros((1, torque.shape[1])), impulse]).T
-    stride = max(1, round(interval / float(np.median(dt))))
-    cut = np.arange(0, len(time), stride)
-    design = np.diff((momentum - pushed)[:, cut], axis=1)
-    return design.reshape(-1, design.shape[-1]), np.diff(impulse[:, cut], axis=1).reshape(-1)
-
-
-def _columns(plant: Plant, q, v) -> tuple[np.ndarray, np.ndarray]:
-    """Momentum and push per unit of each theta, `[n, T, P]` each, of a trial `q, v: [T, n]`."""
-    with jax.enable_x64(True):
-        short = -len(q) % 256  # padded, so that trials of like length share a program
-        padded = (np.pad(z.T, ((0, 0), (0, short))) for z in (q, v))
-        momentum, push = (np.asarray(z)[:, : len(q)] for z in _momentum_columns(plant, *padded))
-    return momentum, push
-
-
-@jax.jit
-def _momentum_columns(plant: Plant, q, v):
-    """Momentum and push per unit of each theta, `[n, T, P]` each: both are linear in theta."""
-
-    def sides(theta):
-        momentum = jnp.einsum("ij...,j...->i...", plant.mass_matrix(theta, q), v)
-        return momentum, plant.momentum_push(plant.constants, theta, q, v)
-
-    return jax.jacfwd(sides)(jnp.zeros(len(plant.theta_names), q.dtype))
-
-
-def _bounded_regression(
-    design: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray
-) -> np.ndarray:
-    fixed = low == high
-    free = ~fixed
-    rest = target - design[:, fixed] @ low[fixed]
-    scale = np.linalg.norm(design[:, free], axis=0) + 1e-30
-    bounds = low[free] * scale, high[free] * scale
-    answer = lsq_linear(design[:, free] / scale, rest, bounds)
-    theta = low.copy()
-    theta[free] = answer.x / scale
-    return theta

@@ -13,12 +13,7 @@ import jax.numpy as jnp
 
 from adaptsim_jax.effects.base import Dry, Effect, Motion, Relaxation
 from adaptsim_jax.effects.layout import Layout
-from adaptsim_jax.mechanisms.dry_friction import (
-    mean_friction,
-    sharp_friction,
-    typical_speed,
-    within,
-)
+from adaptsim_jax.mechanisms.dry_friction import mean_friction, typical_speed, within
 from adaptsim_jax.mechanisms.plant import Plant, solve_mass
 
 Sum = Any  # an array `[n, ...]`, or None
@@ -99,17 +94,14 @@ class ActingSums(NamedTuple):
     - `force`: Smooth force, N m.
     - `level`: Of dry friction, N m.
     - `inertia`: What effects add, kg m^2.
-    - `blur`: The level times the width within which friction turns, W.
     """
 
     force: Sum
     level: Sum
     inertia: Sum
-    blur: Sum
 
 
 PUSHING = ("force", "inertia")
-RUBBING = ("level", "blur")
 
 
 def acting(
@@ -141,7 +133,7 @@ def acting(
         answer = effect.apply(sample.params(effect, first.ndim), motion)
         fields = {"force": answer.force if isinstance(answer, (Dry, Relaxation)) else answer}
         if isinstance(answer, Dry):
-            fields |= {"level": answer.level, "blur": answer.level * answer.width}
+            fields |= {"level": answer.level}
         total = total._replace(
             **{field: getattr(total, field) + fields[field] for field in fields if field in only}
         )
@@ -190,24 +182,20 @@ def row_step(sample: Sample, at: Instant, h) -> tuple[list, tuple[jax.Array, ...
 
 
 class _ByKind(NamedTuple):
-    """Force effects that push smoothly or add inertia, those that rub dry (some do both), and
-    whether none of these has a width.
-    """
+    """Force effects that push smoothly or add inertia, and those that rub dry (some do both)."""
 
     smooth: list[Effect]
     dry: list[Effect]
-    sharp: bool
 
 
 def _by_kind(sample: Sample, at: Instant) -> _ByKind:
-    smooth, dry, wide = [], [], []
+    smooth, dry = [], []
 
     def answer(effect):
         motion = motion_of(sample, at, jnp.zeros_like(jnp.stack(at.x)[: len(at.x) // 2]))
         response = effect.apply(sample.params(effect, 1), motion)
         rubs = isinstance(response, Dry)
         dry.extend([effect] if rubs else [])
-        wide.extend([effect] if rubs and not isinstance(response.width, float) else [])
         smooth.extend(
             [] if rubs and isinstance(response.force, float) and response.force == 0.0 else [effect]
         )
@@ -217,7 +205,7 @@ def _by_kind(sample: Sample, at: Instant) -> _ByKind:
             smooth.append(effect)
         else:
             jax.eval_shape(lambda effect=effect: answer(effect))
-    return _ByKind(smooth, dry, not wide)
+    return _ByKind(smooth, dry)
 
 
 def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, jax.Array]:
@@ -241,10 +229,8 @@ def _dry_force(sample: Sample, at: Instant, h, by: _ByKind) -> tuple[jax.Array, 
         """
         z, speed, force = state
         pull = _pulled(sample, at._replace(x=z, t=at.t + late * h), speed, by)
-        # only once: it is most of the work
-        pull = pull._replace(width=jnp.where(late > 0, pull.width, 0.0))
         force = jnp.where(late > 0, force, _holding(pull, v, wide))
-        force, rise = _sweep(pull, v, force, h, by.sharp)
+        force, rise = _sweep(pull, v, force, h)
         own = sum(pull.answer[k] * force[None, k] for k in range(n))
         end = v + wide * (pull.free + own)
         half = 0.5 * (v + end)
@@ -264,7 +250,7 @@ class _Pull(NamedTuple):
 
     - `free`: Accelerations without it.
     - `inertia`: What effects add, kg m^2.
-    - `level`, `width`: Of friction, N m and rad/s.
+    - `level`: Of friction, N m.
     - `mass [n, n, W]`, and `answer [force, acceleration, W]`: Its inverse.
     """
 
@@ -273,7 +259,6 @@ class _Pull(NamedTuple):
     inertia: jax.Array
     answer: jax.Array
     level: jax.Array
-    width: jax.Array
 
 
 def _pulled(sample: Sample, at: Instant, speed: jax.Array, by: _ByKind) -> _Pull:
@@ -283,12 +268,11 @@ def _pulled(sample: Sample, at: Instant, speed: jax.Array, by: _ByKind) -> _Pull
     identity = jnp.eye(n, dtype=x.dtype).reshape((n, n) + (1,) * (x.ndim - 1))
     unit = identity + jnp.zeros_like(x[:n])[None]
     act = acting(sample, at, by.smooth, PUSHING)
-    rough = acting(sample, at._replace(x=jnp.concatenate([x[:n], speed])), by.dry, RUBBING)
-    width = rough.blur / jnp.maximum(rough.level, 1e-9)
+    rough = acting(sample, at._replace(x=jnp.concatenate([x[:n], speed])), by.dry, ("level",))
     free = plant.deriv(sample.theta, x, at.u, act.force, act.inertia)[n:]
     mass = plant.mass_matrix(sample.theta, x[:n])
     answer = jnp.stack([jnp.stack(solve_mass(mass, act.inertia, unit[j])) for j in range(n)])
-    return _Pull(free, mass, act.inertia, answer, rough.level, width)
+    return _Pull(free, mass, act.inertia, answer, rough.level)
 
 
 def _holding(pull: _Pull, v: jax.Array, wide: jax.Array) -> jax.Array:
@@ -298,7 +282,7 @@ def _holding(pull: _Pull, v: jax.Array, wide: jax.Array) -> jax.Array:
     return within(-(pushed + pull.inertia * stop), pull.level)
 
 
-def _sweep(pull: _Pull, v: jax.Array, force: jax.Array, h, sharp: bool) -> tuple:
+def _sweep(pull: _Pull, v: jax.Array, force: jax.Array, h) -> tuple:
     """Mean and rise of each joint's friction `[n, W]` after one sweep, the others' given."""
 
     def turn(rubs, j):
@@ -306,10 +290,7 @@ def _sweep(pull: _Pull, v: jax.Array, force: jax.Array, h, sharp: bool) -> tuple
         own = pull.answer[j, j]
         others = sum(pull.answer[k, j] * force[k] for k in range(len(force)))
         torque = (pull.free[j] + others) / own - force[j]
-        if sharp:
-            mean, slope = sharp_friction(v[j], torque, pull.level[j], 1.0 / own, h)
-        else:
-            mean, slope = mean_friction(v[j], torque, pull.level[j], pull.width[j], 1.0 / own, h)
+        mean, slope = mean_friction(v[j], torque, pull.level[j], 1.0 / own, h)
         return (force.at[j].set(mean), rise.at[j].set(slope)), None
 
     start = (force, jnp.zeros_like(force))

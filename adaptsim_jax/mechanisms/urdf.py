@@ -90,7 +90,7 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
         for child in list(link):
             if child.tag != "inertial":
                 link.remove(child)
-    _free_world(robot, links, joints)
+    _free_world(links, joints)
     extension = ElementTree.Element("mujoco")
     ElementTree.SubElement(
         extension, "compiler", compiler | {"fusestatic": "false", "discardvisual": "true"}
@@ -328,7 +328,7 @@ def _placeholders(joints: list) -> list[str]:
     return lines
 
 
-def _free_world(robot: Any, links: dict[str, Any], joints: list) -> None:
+def _free_world(links: dict[str, Any], joints: list) -> None:
     """MuJoCo calls its own fixed body 'world', so that a link of that name needs another."""
     if "world" not in links:
         return

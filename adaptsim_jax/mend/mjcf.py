@@ -184,7 +184,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
     their own.
     """
     tree, frames = mechanism.tree, mechanism.frames
-    held_bodies = _held_bodies(spec, mechanism)
+    held_bodies = _held_bodies(mechanism)
     for j, name in enumerate(tree.body_names):
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
@@ -214,7 +214,7 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         put_inertia(body, mass, com, quaternion, value)
 
 
-def _held_bodies(spec, mechanism: Mechanism) -> dict[str, np.ndarray]:
+def _held_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
     """Bodies behind joints that are held, which must go on weighing something: inertial parameters
     [10] in their joint's frame.
     """

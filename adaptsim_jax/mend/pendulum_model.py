@@ -4,10 +4,9 @@
     angle_zero = "hanging"          # or "upright"
     [geometry]                      # l1, l2 in m, g in m/s^2
     [known]                         # parameters that were not fitted
-    [trial_clock]                   # s by trial's name: shifts of a clock that runs between trials
-    [covariance]                    # names, matrix: of all that was fitted
 
-The rest is as every `model.toml` has it (`model_toml.py`).
+The rest is as every `model.toml` has it (`model_toml.py`). What files of before say of a clock and
+of a covariance is read over.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +19,7 @@ import numpy as np
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
-from adaptsim_jax.effects.base import Effect, Sharp
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.layout import Layout
 from adaptsim_jax.effects.registry import catalogue, effect_named
 from adaptsim_jax.mechanisms.plant import Plant
@@ -33,13 +32,22 @@ from adaptsim_jax.mend.model_toml import (
     numbers_at,
     of_unit,
     read_form,
-    table_at,
     text_at,
 )
 
 OWN = ("angle_zero", "geometry", "known", "trial_clock", "covariance")
 USE = 'give it to diagnose (meta.toml: model = "..."), train or adapt'
-NARROW = 0.02  # rad/s of friction: nothing beside the speeds of a task
+FORMER = {
+    "width": 0.02,
+    "softness": 0.0,
+    "bend": 0.0,
+    "hardening": 0.0,
+    "second_sine": 0.0,
+    "second_cosine": 0.0,
+    "damping": 0.0,
+    "exponent": 1.0,
+}
+"""Finer shapes that files of before have, and the most by which they do nothing: read over then."""
 
 
 @dataclass(frozen=True)
@@ -55,11 +63,8 @@ class ModelFile:
     declared: dict[str, Value]
     effects: tuple[AddedEffect, ...] = ()
     known: dict[str, float] = field(default_factory=dict)
-    names: tuple[str, ...] = ()  # of the rows of `covariance`
-    covariance: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     provenance: dict[str, Any] = field(default_factory=dict)
     path: str = "model.toml"
-    trial_clock: dict[str, float] = field(default_factory=dict)
     library: tuple[Effect, ...] = ()
 
     def effect(self, name: str) -> Effect:
@@ -67,21 +72,6 @@ class ModelFile:
         it.
         """
         return effect_named(name, self.library or catalogue(self.task))
-
-    def fixed_effect(self, name: str) -> Effect:
-        """The same for a task, which varies nothing but amplitudes: friction of the model that is
-        all but sharp is `Sharp`.
-        """
-        effect = self.effect(name)
-        known = any(p.name == "width" and p.late for p in effect.parameters)
-        widths = [
-            e.parameters["width"].value
-            for e in self.effects
-            if e.name == name and "width" in e.parameters
-        ]
-        if known and max(widths, default=0.0) <= NARROW:
-            return replace(effect, apply=Sharp(effect.apply))
-        return effect
 
     @property
     def active(self) -> tuple[tuple[str, str], ...]:
@@ -111,12 +101,6 @@ def text_of(model: ModelFile) -> str:
     own: dict[str, Any] = {"angle_zero": model.angle_zero, "geometry": model.geometry}
     if model.known:
         own["known"] = model.known
-    if model.trial_clock:
-        own["trial_clock"] = model.trial_clock
-    own["covariance"] = {
-        "names": list(model.names),
-        "matrix": np.asarray(model.covariance).tolist(),
-    }
     form = Form(model.task, model.model, model.declared, model.effects, own, model.provenance)
     return form.text(USE)
 
@@ -155,7 +139,6 @@ def model_of(
         plant = make_plant(form.model, text_at(where, table, "angle_zero"), geometry, known)
     except BadInput as error:
         raise BadInput(f"{where}: {str(error).removeprefix('meta.toml: ')}") from None
-    names, covariance = _covariance(where, table_at(where, table, "covariance"))
     library = {e.name: e for e in effects or catalogue(form.task)}
     declared = _declared(where, form.declared, plant)
     added = tuple(_effect(where, i, e, plant, library) for i, e in enumerate(form.effects))
@@ -167,11 +150,8 @@ def model_of(
         declared,
         added,
         known,
-        names,
-        covariance,
         form.provenance,
         where,
-        numbers_at(where, table, "trial_clock"),
         tuple(effects or ()),
     )
 
@@ -214,8 +194,8 @@ def _effect(
             f"{where}: {key}.where = {given.where!r}; {given.name} acts at {' or '.join(places)}"
         )
     wanted = {p.name: p for p in effect.parameters}
-    for name in given.parameters:
-        if name not in wanted:
+    for name, value in given.parameters.items():
+        if name not in wanted and value.value > FORMER.get(name, -np.inf):
             raise BadInput(
                 f"{where}: unknown parameter '{key}.parameters.{name}'; {given.name} has "
                 f"{', '.join(wanted)}"
@@ -234,16 +214,3 @@ def _effect(
                 "be; mend it"
             )
     return replace(given, parameters=values)
-
-
-def _covariance(where: str, table: Mapping) -> tuple[tuple[str, ...], np.ndarray]:
-    names = table.get("names", [])
-    try:
-        matrix = np.asarray(table.get("matrix", []), float).reshape(len(names), len(names))
-    except (TypeError, ValueError, OverflowError):
-        raise BadInput(
-            f"{where}: [covariance] must have a row and a column for each of its names; {RENEW}"
-        ) from None
-    if not np.all(np.isfinite(matrix)) or not all(isinstance(n, str) for n in names):
-        raise BadInput(f"{where}: [covariance] must hold finite numbers under names; {RENEW}")
-    return tuple(names), matrix

@@ -215,7 +215,7 @@ def randomisation_of(
             low, high = sorted((value * (1.0 - share), value * (1.0 + share)))
             why = f"these data do not fix it: the file's value, by {share:.0%} either way"
             rows[name] = Randomised(name, value, low, high, unit, "file", why)
-    names, matrix = _correlated(report, form, servos)
+    names, matrix = _correlated(report, servos)
     return Randomisation(tuple(rows.values()), names, matrix)
 
 
@@ -262,7 +262,7 @@ def _ends(number: Mapping[str, Any]) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
-def _correlated(report, form: Form, servos) -> tuple[tuple[str, ...], tuple]:
+def _correlated(report, servos) -> tuple[tuple[str, ...], tuple]:
     """Correlations that a report's intervals tell: of stiffness and damping of servos, whose
     quotient has an interval of its own.
     """

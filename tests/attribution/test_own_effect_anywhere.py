@@ -87,7 +87,7 @@ starts = starts_of(problem)
 paths = run(problem, null, starts)
 weights = weigh(problem, paths)
 lin = linear(problem, TreeFit(null, starts, weights, losses(problem, paths, weights), "", 0))
-scores = {(s.candidate.effect, *s.candidate.joints): s.gain for s in table(problem, lin, own)}
+scores = {(s.candidate.effect, *s.candidate.joints): s.held_out for s in table(problem, lin, own)}
 
 (balance,) = balances(problem, machine.tracks)
 state = SimpleNamespace(

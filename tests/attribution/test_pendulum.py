@@ -1,8 +1,5 @@
 """The double pendulum of `task = "pendulum"` as a mechanism."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -10,7 +7,7 @@ import pytest
 
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.parameters import INERTIA, TILT
-from adaptsim_jax.attribution.pendulum import base_parameters, left_out
+from adaptsim_jax.attribution.pendulum import base_parameters
 from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
 from adaptsim_jax.attribution.problem import tilted
 from adaptsim_jax.attribution.replay import replay
@@ -80,13 +77,3 @@ def test_on_a_real_rig_friction_holds_out_and_the_files_say_the_same(tmp_path):
 
 
 FILES = ("declared.xml", "model.xml", "model.toml")
-
-
-def test_what_a_replay_leaves_out_of_a_mended_model_is_told():
-    effect = SimpleNamespace(
-        name="coulomb", where="joint1", parameters={"level": 0.3, "width": 1e-3}
-    )
-    model: Any = SimpleNamespace(effects=(effect,))
-    assert left_out(model) == [
-        "coulomb at joint1 is simulated without its width, which diagnose has"
-    ]

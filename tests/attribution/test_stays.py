@@ -9,7 +9,7 @@ import pytest
 
 from adaptsim_jax.attribution.candidates import JointCandidate
 from adaptsim_jax.attribution.nested_models import SimulatedEvidence, between_rows, steadiness
-from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.rules import MODEL, NAME, refusal
 from adaptsim_jax.diagnosis.testing import Test as Paired
@@ -30,7 +30,7 @@ def judged(delay=0.01, angles=0.5, test=GOOD, steady=27.0, floor=0.1, least=0.0,
     """
     entry = Entry("delay", "delay", (0,), 0.0, 0.0, -0.1, 0.1, "s")
     candidate = JointCandidate("delay", (0,), "joint", (entry,))
-    vector: Any = SimpleNamespace(entries=(entry,), values=np.array([delay]))
+    vector: Any = Vector((entry,), np.array([delay]))
 
     def of(size):
         return SimpleNamespace(
@@ -85,7 +85,7 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
     """0.3 N m of friction on bristles of 1e-4 rad/(N m) breaks away after 3e-5 rad."""
     level = Entry("coulomb", "level", (0,), 0.0, 0.0, 0.0, 9.0, "N m")
     entry = Entry("presliding", "compliance", (0,), 0.0, 0.0, 0.0, 9.0, "rad/(N m)")
-    vector: Any = SimpleNamespace(entries=(level, entry), values=np.array([0.3, 1e-4]))
+    vector: Any = Vector((level, entry), np.array([0.3, 1e-4]))
 
     def of(size):
         return SimpleNamespace(
@@ -114,7 +114,7 @@ def test_bristles_that_bend_within_the_noise_are_no_effect(floor, stays):
 def test_commands_between_rows_are_how_rows_are_read(rows, read):
     entry = Entry("delay", "delay", (0, 1), 0.0, 0.0, -0.1, 0.1, "s")
     model: Any = SimpleNamespace(
-        fit=SimpleNamespace(vector=SimpleNamespace(entries=(entry,), values=np.array([rows * DT])))
+        fit=SimpleNamespace(vector=Vector((entry,), np.array([rows * DT])))
     )
     problem: Any = SimpleNamespace(
         joints=2, reach=SimpleNamespace(dt=DT, peak=np.ones(2)), effect=the_effect
@@ -137,7 +137,7 @@ def test_steadiness_is_that_of_an_effect_all_else_held():
     hess = np.array([[[1.0, 1.0], [1.0, 1.001]], [[1.0, 1.0], [1.0, 1.002]]])
     slope = np.array([[0.01, 0.011], [-0.01, -0.011]])
     model: Any = SimpleNamespace(
-        fit=SimpleNamespace(vector=SimpleNamespace(entries=entries, values=np.array([0.5, 0.2]))),
+        fit=SimpleNamespace(vector=Vector(entries, np.array([0.5, 0.2]))),
         held=SimpleNamespace(
             vectors=np.zeros((2, 2)), normal=SimpleNamespace(hess=hess, slope=slope)
         ),

@@ -15,7 +15,7 @@ from adaptsim_jax.attribution.equation.balance_objective import BalanceEvidence,
 from adaptsim_jax.attribution.equation.confirmed import harmed, informative_joints
 from adaptsim_jax.attribution.fitted import over_floor, times_floor
 from adaptsim_jax.attribution.nested_models import SimulatedEvidence, least_worth
-from adaptsim_jax.attribution.parameters import Entry
+from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.attribution.problem import passing
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
@@ -128,7 +128,7 @@ def test_of_a_delay_and_a_lag_of_the_same_joints_the_sum_is_how_a_log_is_read():
 
 def test_a_long_delay_at_one_joint_does_not_shield_a_short_one_at_another():
     long, short = shift("delay", "delay", 0), shift("delay", "delay", 1)
-    vector = SimpleNamespace(entries=long.entries + short.entries, values=np.array([0.03, 0.001]))
+    vector = Vector(long.entries + short.entries, np.array([0.03, 0.001]))
     found: Any = SimpleNamespace(fit=SimpleNamespace(vector=vector))
 
     def unresolved(c):

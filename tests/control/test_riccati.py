@@ -11,13 +11,10 @@ from jax.test_util import check_grads
 
 from adaptsim_jax.control.riccati import (
     CONVERGED,
-    INACCURATE,
     NOT_FINITE,
     NOT_STABILISING,
     lqr_gain,
-    riccati_message,
     solve_care,
-    solve_dare,
 )
 from adaptsim_jax.mechanisms.double_pendulum.linear import linearized
 
@@ -30,10 +27,6 @@ SETTINGS = np.array(  # paper, table A2: wd, ood-1 .. ood-4
         [0.4, 2.6, 1, 2],
     ]
 )
-SOLVERS = {
-    "care": (solve_care, sl.solve_continuous_are),
-    "dare": (solve_dare, sl.solve_discrete_are),
-}
 
 
 def random_systems(seed, count, n, m, radius=None):
@@ -50,41 +43,36 @@ def pendulum_systems(params):
     return A, B, np.tile(np.eye(4), (len(params), 1, 1)), np.tile(np.eye(2), (len(params), 1, 1))
 
 
-def relative_difference(ours, theirs, systems):
-    P = np.asarray(jax.jit(jax.vmap(ours))(*systems).P)
+def relative_difference(systems):
+    P = np.asarray(jax.jit(jax.vmap(solve_care))(*systems).P)
     reference = np.array(
-        [theirs(*(np.asarray(x, float) for x in s)) for s in zip(*systems, strict=True)]
+        [
+            sl.solve_continuous_are(*(np.asarray(x, float) for x in s))
+            for s in zip(*systems, strict=True)
+        ]
     )
     return np.linalg.norm(P - reference, axis=(1, 2)) / np.linalg.norm(reference, axis=(1, 2))
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("n, m", [(2, 1), (4, 2), (6, 3)])
-@pytest.mark.parametrize("kind", ["care", "dare"])
-def test_random_systems_match_scipy_in_double(x64, kind, n, m):
-    systems = random_systems(n, 50, n, m, radius=1.2 if kind == "dare" else None)
+def test_random_systems_match_scipy_in_double(x64, n, m):
+    systems = random_systems(n, 50, n, m)
     # 1e-8 is the project's bar; nearly uncontrollable samples use most of it up, on both sides.
-    assert relative_difference(*SOLVERS[kind], systems).max() < 1e-8
+    assert relative_difference(systems).max() < 1e-8
 
 
 def test_pendulum_settings_match_scipy_in_double(x64):
-    assert relative_difference(*SOLVERS["care"], pendulum_systems(SETTINGS)).max() < 1e-11
+    assert relative_difference(pendulum_systems(SETTINGS)).max() < 1e-11
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["care", "dare"])
-def test_single_precision_is_usable(kind):
-    systems = [
-        x.astype(np.float32)
-        for x in random_systems(3, 50, 4, 2, radius=1.2 if kind == "dare" else None)
-    ]
-    assert jax.vmap(SOLVERS[kind][0])(*systems).P.dtype == jnp.float32
+def test_single_precision_is_usable():
+    systems = [x.astype(np.float32) for x in random_systems(3, 50, 4, 2)]
+    assert jax.vmap(solve_care)(*systems).P.dtype == jnp.float32
     # Rounding of 1e-7 times the conditioning of these samples, which reaches some hundreds.
-    assert relative_difference(*SOLVERS[kind], systems).max() < 1e-3
-    assert (
-        relative_difference(*SOLVERS["care"], pendulum_systems(SETTINGS.astype(np.float32))).max()
-        < 5e-3
-    )
+    assert relative_difference(systems).max() < 1e-3
+    assert relative_difference(pendulum_systems(SETTINGS.astype(np.float32))).max() < 5e-3
 
 
 def test_codes_say_what_happened():
@@ -100,9 +88,6 @@ def test_codes_say_what_happened():
     assert int(undetectable.code) in (NOT_STABILISING, NOT_FINITE)
     assert int(broken.code) == NOT_FINITE and int(good.code) == CONVERGED
     np.testing.assert_allclose(good.P, np.eye(2), rtol=1e-5)
-    assert (
-        len({riccati_message(c) for c in (CONVERGED, INACCURATE, NOT_STABILISING, NOT_FINITE)}) == 4
-    )
 
 
 def test_one_bad_sample_leaves_the_others_alone():
@@ -123,10 +108,9 @@ def test_nested_vmap_agrees_with_one_at_a_time(x64):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["care", "dare"])
-def test_derivatives_in_both_modes_and_twice(x64, kind):
+def test_derivatives_in_both_modes_and_twice(x64):
     A, B, Q, R = (x[0] for x in random_systems(1, 1, 3, 2, radius=0.9))
-    solution = jax.jit(lambda *s: SOLVERS[kind][0](*s).P)
+    solution = jax.jit(lambda *s: solve_care(*s).P)
     check_grads(solution, (A, B, Q, R), order=2, modes=("fwd", "rev"), rtol=1e-4)
 
 

@@ -95,14 +95,11 @@ def test_values_reach_the_end_of_a_curved_valley():
     assert fit_values(found.point, around, rounds=0).code == "stopped"
 
 
-def test_a_fit_that_nothing_helps_is_stuck_unless_there_is_another_point():
+def test_a_fit_that_nothing_helps_is_stuck():
     def around(point):
         return lambda damping: Point(max(2.0, point.loss - 1.0), None)
 
     assert fit_values(Point(2.0, None), around, 5).code == "stuck"
-    others = iter([Point(5.0, None)])
-    found = fit_values(Point(2.0, None), around, 9, stuck=lambda point: next(others, None))
-    assert found.point.loss == 2.0 and found.rounds == 4
 
 
 @pytest.mark.parametrize("every", [False, True])
@@ -121,9 +118,8 @@ def test_starts_of_stretches_are_fitted_each_by_itself(every):
 
     begun = best_of((np.zeros((5, 2)), truth * [[1.0], [0.0], [0.0], [0.0], [0.0]]), evaluate)
     assert begun.loss[0] == 0.0 < begun.loss[1]
-    found = fit_starts(StretchLanes(*begun), propose, evaluate, 3, every=every, lanes=np.arange(4))
-    np.testing.assert_allclose(found.starts[:4], truth[:4], atol=1e-8)
-    np.testing.assert_allclose(found.starts[4], 0.0)
+    found = fit_starts(StretchLanes(*begun), propose, evaluate, 3, every=every)
+    np.testing.assert_allclose(found.starts, truth, atol=1e-8)
     assert begun.loss[1] > 0.0  # what was given stays as it was
 
 

@@ -41,6 +41,9 @@ REACH = Reach(
     np.array([0.1, 0.02]),
 )
 
+# shapes of effects that do nothing on the standard motion at their defaults
+SHAPES = {"saturation": {"peak": 1.0}, "hard_stop": {"angle": -0.12, "side": -1.0}}
+
 
 @pytest.fixture(params=[False, True], ids=["float32", "x64"])
 def x64(request):
@@ -66,7 +69,7 @@ def parameters(effect, amplitude=1.0, torque=1.0, time=1.0):
     """A mid-sized setting of an effect; `amplitude` 0 is none of it, 1 a third of the way to its
     upper bound.
     """
-    shape = effect.grid_points(REACH, 0)[-1]
+    shape = SHAPES.get(effect.name, {})
     out = {}
     for p in effect.parameters:
         value = (
@@ -117,11 +120,6 @@ def test_entry_is_complete(effect):
     for p in effect.parameters:
         assert p.low <= p.default <= p.high and p.low < p.high
         assert p.sign <= 0 or p.low >= 0 or p.default == 0.0
-    for point in effect.grid_points(REACH, 1):
-        assert set(point) >= {p.name for p in effect.shapes if not p.optional} or effect.jump
-        for p in effect.parameters:
-            low, high = p.bounds(float(REACH.torque[1]))
-            assert p.name not in point or low <= point[p.name] <= high
 
 
 def test_a_slow_joint_leaves_room_for_a_drag_of_the_same_torque():

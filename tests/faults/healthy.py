@@ -89,7 +89,7 @@ def of_pendulum(source: Path) -> list[str]:
     from adaptsim_jax.logs.pendulum import read_pendulum
     from adaptsim_jax.logs.quality.audit import audit, usable
     from adaptsim_jax.logs.quality.pendulum_design import (
-        CHANNELS,
+        WORDS,
         check_conventions,
         pendulum_trials,
     )
@@ -103,11 +103,11 @@ def of_pendulum(source: Path) -> list[str]:
     kept = usable(recording, checked)
     said += [f.message for f in check_conventions(kept)]
     found = pendulum_trials(kept)
-    return said + (list(sentences(found, CHANNELS)) if found is not None and found.differs else [])
+    return said + (list(sentences(found, WORDS)) if found is not None and found.differs else [])
 
 
 def of_mechanism(source: Path) -> list[str]:
-    from adaptsim_jax.attribution.conventions import channels, check_conventions, mechanism_trials
+    from adaptsim_jax.attribution.conventions import check_conventions, mechanism_trials, words_of
     from adaptsim_jax.attribution.diagnose import HORIZON
     from adaptsim_jax.attribution.load import load
     from adaptsim_jax.attribution.posed import scaled
@@ -118,7 +118,7 @@ def of_mechanism(source: Path) -> list[str]:
     machine = scaled(machine, HORIZON)
     found = mechanism_trials(machine)
     return said + (
-        list(sentences(found, channels(machine))) if found is not None and found.differs else []
+        list(sentences(found, words_of(machine))) if found is not None and found.differs else []
     )
 
 

@@ -34,7 +34,7 @@ def make(kind: str, path):
     if kind in ("csv", "meta.toml"):
         meta = (
             'ignore = ["q9"]\n[units]\nangle = "rad"\n[angles]\nzero = {elbow = 0.1}\n'
-            '[trials]\ngroup = {a = ["t*"]}\n'
+            '[trials]\ncommands = {a = ["t*"]}\n'
         )
         folder(path, meta, t=numbered(M, "q", "v", "tau"))
         return path / ("t.csv" if kind == "csv" else "meta.toml")

@@ -258,18 +258,11 @@ def test_meta_says_which_of_several_inputs_counts(tmp_path):
     np.testing.assert_array_equal(log.trials[0].extra["tau"], M["tau"])
 
 
-def test_groups_payloads_and_excluded_trials(tmp_path):
-    meta = (
-        '[trials]\nexclude = ["bad*"]\npayload = {heavy_1 = 0.2}\n'
-        '[trials.group]\nloaded = ["heavy_*"]\n'
-    )
+def test_excluded_trials(tmp_path):
+    meta = '[trials]\nexclude = ["bad*"]\npayload = {heavy_1 = 0.2}\n'
     c = numbered(M, "q", "tau")
     log = read_log(folder(tmp_path, meta, bad_1=c, heavy_1=c, heavy_2=c, light=c), ARM)
-    assert [(t.name, t.group, t.payload) for t in log.trials] == [
-        ("heavy_1", "loaded", 0.2),
-        ("heavy_2", "loaded", 0.0),
-        ("light", "", 0.0),
-    ]
+    assert [t.name for t in log.trials] == ["heavy_1", "heavy_2", "light"]
     assert [t.name for t in log.pick(["light"]).trials] == ["light"]
 
 

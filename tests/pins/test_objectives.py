@@ -156,7 +156,6 @@ def test_columns_and_scores_of_candidates_are_the_same(posed_of, name):
                 s.candidate.effect,
                 list(s.candidate.joints),
                 s.candidate.sharing,
-                s.gain,
                 s.held_out,
                 s.p,
             ]

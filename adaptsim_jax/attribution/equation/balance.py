@@ -87,7 +87,7 @@ def balances(
     out = []
     for group in problem.groups:
         own = list(group.joints)
-        part = [JointTrack(t.name, t.time, t.q[:, own], None, t.u[:, own], t.group) for t in tracks]
+        part = [JointTrack(t.name, t.time, t.q[:, own], None, t.u[:, own]) for t in tracks]
         runs = runs_of(part, problem.floor[own], span)
         if not runs:
             continue

@@ -38,15 +38,13 @@ def drive_gains(problem: TreeProblem, balance: Balance) -> dict[int, float | Non
             ],
             1,
         )
-        x, spread, _ = _regressed(balance, averaged[:, k], columns, balance.clear[:, k])
+        x, spread = _regressed(balance, averaged[:, k], columns, balance.clear[:, k])
         out[int(j)] = 1.0 / x[0] if x[0] > SERVO.drive_significant * spread[0] else None
     return out
 
 
 def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.ndarray):
-    """Coefficients, their standard errors by a jackknife over folds, and what is left of each fold
-    by the others' coefficients.
-    """
+    """Coefficients, and their standard errors by a jackknife over folds."""
     weight = np.sqrt(clear)
     fold = folds_of(balance.trial, FOLD.min_windows)
     size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
@@ -60,8 +58,5 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
         )
 
     whole = solve(np.ones(len(y), bool))
-    each, left = [], np.zeros_like(y)
-    for f in np.unique(fold):
-        each.append(solve(fold != f))
-        left[fold == f] = y[fold == f] - columns[fold == f] @ each[-1]
-    return whole, np.maximum(jackknife(np.array(each)), 1e-300), left
+    each = np.array([solve(fold != f) for f in np.unique(fold)])
+    return whole, np.maximum(jackknife(each), 1e-300)

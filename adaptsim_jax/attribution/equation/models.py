@@ -111,9 +111,7 @@ def _within(problem: TreeProblem, c: JointCandidate) -> JointCandidate | None:
     return replace(c, entries=tuple(entries))
 
 
-def refitted(
-    problem: TreeProblem, found: GroupSearch, added: Sequence[JointCandidate]
-) -> GroupSearch:
+def refitted(found: GroupSearch, added: Sequence[JointCandidate]) -> GroupSearch:
     """With other effects, fitted as the search fits them; nothing is judged."""
     whole = found.state.set_of(added)
     final, errors = exact(found.state, added, whole, found.final)
@@ -209,10 +207,8 @@ def merged(null: Vector, searches: Sequence[GroupSearch]) -> TorqueSearch:
 
 
 def _values(vector: Vector, parts: Sequence[Vector]) -> np.ndarray:
-    known = {e.key: z for v in parts for e, z in zip(v.entries, v.values, strict=True)}
-    return np.array(
-        [known.get(e.key, z) for e, z in zip(vector.entries, vector.values, strict=True)]
-    )
+    known = {e.key: z for v in parts for e, z in v.pairs()}
+    return np.array([known.get(e.key, z) for e, z in vector.pairs()])
 
 
 def part_of(null: Vector, balance: Balance) -> Vector:
@@ -250,10 +246,7 @@ def _best_tried(steps: Sequence[Step]) -> list[Step]:
 def _score(step: Step, total: float) -> CandidateScore:
     test = step.test
     assert test is not None  # of `_best_tried`
-    share = test.better / max(test.folds, 1)
-    return CandidateScore(
-        step.candidate, np.zeros(0), test.gain * total, test.gain * total, test.p, share
-    )
+    return CandidateScore(step.candidate, test.gain * total, test.p)
 
 
 def model_of(
@@ -348,7 +341,7 @@ def without(
         less = [c for c in w.added if c not in gone] + [
             c for c in instead if set(c.joints) <= joints
         ]
-        out.append(w if len(less) == len(w.added) and not instead else refitted(problem, w, less))
+        out.append(w if len(less) == len(w.added) and not instead else refitted(w, less))
     return merged(replace(found.null, values=found.null.values), out)
 
 

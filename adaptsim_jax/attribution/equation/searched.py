@@ -113,11 +113,8 @@ class EffectTable:
 
     def _inertia(self, body: int, name: str) -> np.ndarray:
         if "slope" not in self._made:
-            eta = np.zeros((self.balance.joints, 10))
-            for e, z in zip(self.vector.entries, self.vector.values, strict=True):
-                if e.owner == INERTIA and e.joints[0] in self.place:
-                    eta[self.place[e.joints[0]], ETA.index(e.name)] = z
-            self._made["slope"] = self.balance.group.inertias.at(eta)[1]
+            group = self.balance.group
+            self._made["slope"] = group.inertias.at(self.vector.bodies(group.joints))[1]
         part = self.balance.regressor[:, :, 10 * body : 10 * body + 10]
         return -part @ self._made["slope"][body, :, ETA.index(name)]
 
@@ -409,9 +406,9 @@ def exact(
 
     point = _at(state, vector)
     if near is not None:
-        known = {e.key: z for e, z in zip(near.entries, near.values, strict=True)}
-        pairs = zip(vector.entries, vector.values, strict=True)
-        close = _at(state, vector.at(np.array([known.get(e.key, z) for e, z in pairs])))
+        known = near.known()
+        values = [known.get(e.key, z) for e, z in vector.pairs()]
+        close = _at(state, vector.at(np.array(values)))
         point = min(point, close, key=lambda p: p.loss)
     fitted: list[Solved] = []
 

@@ -95,7 +95,7 @@ def _even(track: JointTrack) -> tuple[np.ndarray, ...]:
     """time, q, v, speed, u on an even grid, and where rows were read (1) or not (0); v is
     smooth, and speed is true.
     """
-    dt = float(np.median(np.diff(track.time)))
+    dt = track.dt
     time = np.arange(track.time[0], track.time[-1], dt)
     nearest = np.clip(np.searchsorted(track.time, time), 1, len(track.time) - 1)
     mask = 1.0 - broken(track.time)[nearest - 1]

@@ -21,17 +21,11 @@ def torque_gain(p, t, u):
 
 
 def saturation(p, t, u):
-    """The limit is written as a share cut off the largest command, so that no cut changes nothing.
-    With softness the knee is round: `u / (1 + |u / level|^n)^(1/n)`, n = 1 / softness.
+    """The limit is written as a share cut off the largest command, so that no cut changes
+    nothing.
     """
     level = (1.0 - p["cut"]) * p["peak"]
-    sharp = jnp.clip(u, -level, level)
-    n = 1.0 / jnp.maximum(p["softness"], 0.02)
-    over = jnp.abs(u) / level
-    most = jnp.maximum(over, 1.0)  # what is raised to n stays within 1
-    round_ = u / (most * (most**-n + (over / most) ** n) ** (1.0 / n))
-    share = jnp.where(p["softness"] > 0.0, jnp.clip(p["cut"] / 1e-3, 0.0, 1.0), 0.0)
-    return sharp + share * (round_ - sharp)
+    return jnp.clip(u, -level, level)
 
 
 def dead_zone(p, t, u):
@@ -82,22 +76,6 @@ def actuator_lag(p, t, u):
     return u + (state - u) * share
 
 
-def _delays(reach, joint):
-    return [{"delay": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
-
-
-def short_lags(reach, joint):
-    return [{"lag": s} for s in (0.002, 0.005, 0.01, 0.02, 0.04)]
-
-
-def _pendulum_cuts(reach, joint):
-    return [{"cut": s, "peak": float(reach.peak[joint])} for s in (0.1, 0.2, 0.35, 0.5, 0.65)]
-
-
-def _pendulum_widths(reach, joint):
-    return [{"width": float(reach.torque[joint]) * s} for s in (0.005, 0.015, 0.04, 0.1)]
-
-
 UNKNOWN_BEFORE = Quantity(
     "before",
     "1",
@@ -119,7 +97,6 @@ PENDULUM_DELAY = Effect(
     ("actuator_lag", "sensor_lag"),
     smooth=False,
     jump=True,
-    grid=_delays,
     formula="command(t - delay)",
     title="command delay",
 )
@@ -139,16 +116,6 @@ PENDULUM_SATURATION = Effect(
             held=True,
             meaning="the largest command recorded; not fitted",
         ),
-        Quantity(
-            "softness",
-            "1",
-            0.0,
-            0.7,
-            shape=True,
-            optional=True,
-            meaning="of the knee; 0 is sharp",
-            late=True,
-        ),
     ),
     saturation,
     "torque cannot exceed a limit: (1 - cut) of the largest command",
@@ -156,8 +123,7 @@ PENDULUM_SATURATION = Effect(
     ("torque_gain",),
     smooth=False,
     jump=True,
-    grid=_pendulum_cuts,
-    formula="command within +-(1 - cut) peak, the knee round where there is softness",
+    formula="command within +-(1 - cut) peak",
 )
 
 PENDULUM_DEAD_ZONE = Effect(
@@ -170,7 +136,6 @@ PENDULUM_DEAD_ZONE = Effect(
     ("coulomb", "torque_gain"),
     smooth=False,
     jump=True,
-    grid=_pendulum_widths,
     formula="command less width, zero within +-width",
 )
 
@@ -198,7 +163,6 @@ PENDULUM_ACTUATOR_LAG = Effect(
     "fast changes of command",
     ("delay", "sensor_lag"),
     jump=True,
-    grid=short_lags,
     formula="lag torque' = command - torque",
 )
 

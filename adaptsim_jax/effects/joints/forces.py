@@ -17,10 +17,6 @@ from adaptsim_jax.effects.joints.actuator import rotor_inertia
 NODES = 10  # of a range of motion: a spot of a tenth of it shows
 
 
-def spring(p, m):
-    return p["preload"] - p["stiffness"] * m.q
-
-
 def cogging(p, m):
     sine = p["sine"] * jnp.sin(p["order"] * m.q)
     return sine + p["cosine"] * jnp.cos(p["order"] * m.q)
@@ -45,7 +41,10 @@ def friction_coupling(p, m):
 
 
 def _stops(reach, joint):
-    """Stops as hard as most are, where the motion ends and a little before."""
+    """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
+    throws the model so far off that a linear score makes it soft and puts it well inside. From
+    there no fit finds the way to it.
+    """
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
     hard = [
         (0.01 * s * (high - low), k * float(reach.torque[joint]))
@@ -106,7 +105,7 @@ SPRING = Effect(
         Quantity("stiffness", "N m/rad", -5.0, 5.0, sign=1, mjcf="stiffness"),
         Quantity("preload", "N m", -5.0, 5.0, mjcf="preload"),
     ),
-    spring,
+    elastic.spring,
     "a torsional spring or a cable; at rest at preload / stiffness",
     "a wide range of angles",
     ("bias", "position_gain", "encoder_offset"),
@@ -151,8 +150,6 @@ HARD_STOP = Effect(
         Quantity("angle", "rad", -100.0, 100.0, 1.5, shape=True),
         Quantity("side", "1", -1.0, 1.0, 1.0, shape=True, held=True),
         Quantity("loss", "s", 0.0, 1.0, shape=True, optional=True),
-        Quantity("damping", "s", 0.0, 0.5, shape=True, held=True, optional=True),
-        Quantity("exponent", "1", 0.7, 2.5, 1.0, shape=True, held=True, optional=True),
     ),
     elastic.hard_stop,
     "an end stop beyond an angle",

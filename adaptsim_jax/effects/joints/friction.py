@@ -12,35 +12,17 @@ def speeds(reach, joint):
     return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
 
 
-def deflections(reach, joint):
-    span = float(reach.q_high[joint] - reach.q_low[joint])
-    fitting = [d for d in (0.005, 0.012, 0.03, 0.07) if d < 0.3 * span] or [0.1 * span + 1e-3]
-    return [{"deflection": d, "damping": s} for d in fitting for s in (0.0, 0.01)]
-
-
 def decays(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
 
-WIDTH = Quantity(
-    "width",
-    "rad/s",
-    0.0,
-    0.2,
-    shape=True,
-    optional=True,
-    meaning="within which it turns; 0 is sharp",
-    late=True,
-)
-
-
 def coulomb(p, m: Motion):
-    return Dry(p["level"] + 0.0 * m.q, width=p.get("width", 0.0))
+    return Dry(p["level"] + 0.0 * m.q)
 
 
 def stribeck_and_level(p, m: Motion):
     """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
-    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])), width=p["width"])
+    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
 
 
 def quadratic_drag(p, m: Motion):
@@ -54,7 +36,7 @@ def friction_drift(p, m: Motion):
 
 
 def load_friction(p, m: Motion):
-    return Dry(p["share"] * jnp.abs(m.u), width=p.get("width", 0.0))
+    return Dry(p["share"] * jnp.abs(m.u))
 
 
 def bristle(p, m: Motion):
@@ -71,13 +53,12 @@ def bristle(p, m: Motion):
 PENDULUM_COULOMB = Effect(
     "coulomb",
     "force",
-    (Quantity("level", "N m", 0.0, 1.0, sign=1), WIDTH),
+    (Quantity("level", "N m", 0.0, 1.0, sign=1),),
     coulomb,
     "dry friction: a constant torque against the motion",
     "reversals, and both slow and fast motion",
     ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
-    formula="-level sign(v), or tanh(v / width); holds the joint where less than the level would "
-    "move it",
+    formula="-level sign(v); holds the joint where less than the level would move it",
     title="Coulomb friction",
 )
 
@@ -96,15 +77,13 @@ PENDULUM_STRIBECK = Effect(
             shape=True,
             meaning="at which the excess has fallen to a third",
         ),
-        WIDTH,
     ),
     stribeck_and_level,
     "dry friction that is higher at creeping speed",
     "long stretches of slow motion beside fast ones",
     ("coulomb", "presliding"),
     contains=("coulomb",),
-    grid=speeds,
-    formula="-(level + excess exp(-(v / speed)^2)) sign(v), or tanh(v / width)",
+    formula="-(level + excess exp(-(v / speed)^2)) sign(v)",
     title="Stribeck friction",
 )
 
@@ -138,12 +117,12 @@ PENDULUM_FRICTION_DRIFT = Effect(
 PENDULUM_LOAD_FRICTION = Effect(
     "load_friction",
     "force",
-    (Quantity("share", "1", 0.0, 1.0, sign=1), WIDTH),
+    (Quantity("share", "1", 0.0, 1.0, sign=1),),
     load_friction,
     "gear friction in proportion to the torque that the joint carries",
     "high and low torque at like speeds",
     ("coulomb", "torque_gain"),
-    formula="-share |command| sign(v), or tanh(v / width)",
+    formula="-share |command| sign(v)",
     title="load-dependent friction",
 )
 
@@ -166,7 +145,6 @@ PENDULUM_PRESLIDING = Effect(
     memory=True,
     smooth=False,
     contains=("coulomb",),
-    grid=deflections,
     formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
 )
 

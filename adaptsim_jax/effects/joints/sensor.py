@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from adaptsim_jax.effects.base import Effect, Quantity, Traits
-from adaptsim_jax.effects.joints.actuator import LATEST, lags, short_lags
+from adaptsim_jax.effects.joints.actuator import LATEST, lags
 
 
 def encoder_offset(p, t, q, v, first):
@@ -121,7 +121,6 @@ PENDULUM_SENSOR_LAG = Effect(
     "fast motion",
     ("delay", "actuator_lag"),
     jump=True,
-    grid=short_lags,
     formula="lag reading' = q - reading, of angle and velocity",
 )
 

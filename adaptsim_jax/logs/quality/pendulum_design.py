@@ -20,7 +20,6 @@ from adaptsim_jax.logs.quality.contradictions import (
 )
 from adaptsim_jax.logs.quality.findings import AuditFinding, finding
 from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, stated
-from adaptsim_jax.logs.quality.trial_words import Channels
 from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
@@ -34,8 +33,6 @@ WORDS = Words(
     lambda j: f"turn the signs of columns q{j + 1}, v{j + 1} and tau{j + 1}",
     lambda j, parent: "write q2 - q1 into column q2, and so v2 - v1 into v2",
 )
-
-CHANNELS = Channels(WORDS.q, WORDS.tau, WORDS.hinges)
 
 
 def design(l1: float, gravity: float, down: float) -> Design:
@@ -58,13 +55,38 @@ def design(l1: float, gravity: float, down: float) -> Design:
     return columns
 
 
+def linear_design(gravity: float) -> Design:
+    """Masses of the linearized double pendulum."""
+
+    def columns(m: BlockMeans, with_gravity: bool) -> np.ndarray:
+        (q1, q2), (a1, a2) = m.q.T, m.a.T
+        pull = gravity if with_gravity else 0.0
+        second = 2 * a1 + a2 - pull * (q1 + q2)
+        pairs = ((a1 - pull * q1, 0.0 * q1), (2 * a1 + a2 - pull * q1 + second, second))
+        return np.stack([np.stack(pair, 1) for pair in pairs], 2)
+
+    return columns
+
+
+def rig_design(rig: Rig) -> Design:
+    """The design of a rig's declared model."""
+    gravity = rig.geometry.get("g", GRAVITY)
+    if rig.model == "linearized":
+        return linear_design(gravity)
+    return design(rig.geometry["l1"], gravity, _down(rig))
+
+
+def tracks_of(log: Log) -> list[Track]:
+    """Trials with torques at the joints."""
+    return [Track(t.time, t.q, t.v, torques(log, t)) for t in log.trials]
+
+
 def of_rig(log: Log) -> tuple[list[Track], Design] | None:
     """Tracks and design of a log of two driven links; None where the linear fit cannot judge it."""
     rig = log.meta.rig
     if rig is None or rig.model != "rigid_body" or "l1" not in rig.geometry or rig.model_file:
         return None
-    tracks = [Track(t.time, t.q, t.v, torques(log, t)) for t in log.trials]
-    return tracks, design(rig.geometry["l1"], rig.geometry.get("g", GRAVITY), _down(rig))
+    return tracks_of(log), rig_design(rig)
 
 
 def torques(log: Log, trial: LogTrial) -> np.ndarray:

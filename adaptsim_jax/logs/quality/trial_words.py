@@ -3,31 +3,21 @@ what to do.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.logs.criteria import TRIAL
+from adaptsim_jax.logs.quality.contradictions import Words
 from adaptsim_jax.logs.quality.findings import WORDS
 from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
 
 DIFFERENCES: dict[str, dict[str, str]] = WORDS["difference"]
 
 
-@dataclass(frozen=True)
-class Channels:
-    """How columns are called, `[n]`: angles `q`, torques `tau`; `hinges`: whether an angle is
-    one.
-    """
-
-    q: tuple[str, ...]
-    tau: tuple[str, ...]
-    hinges: tuple[bool, ...]
-
-
 def add_trials(
-    report: dict[str, Any], evidence: dict[str, Any], differ: Differ | None, channels: Channels
+    report: dict[str, Any], evidence: dict[str, Any], differ: Differ | None, channels: Words
 ) -> None:
     """Put `trials` into a report, and a warning for all that differs between them and that the
     final model does not explain.
@@ -90,7 +80,7 @@ def headline(differ: Differ) -> str | None:
     return f"{', '.join(outlier[:6])} {verb} apart from the other trials"
 
 
-def sentences(differ: Differ, channels: Channels) -> list[str]:
+def sentences(differ: Differ, channels: Words) -> list[str]:
     """A warning for what differs in all trials, and one for each odd trial."""
     out = []
     if differ.kind and differ.size is not None:
@@ -111,14 +101,14 @@ def sentences(differ: Differ, channels: Channels) -> list[str]:
     return out + [_outlier_words(o, channels) for o in differ.outliers]
 
 
-def _names(kind: str, channels: Channels) -> tuple[str, ...]:
+def _names(kind: str, channels: Words) -> tuple[str, ...]:
     """Of the numbers of a kind."""
     if kind == "load":
         return ("share",)
     return channels.q if kind == "zero" else channels.tau
 
 
-def _amount(kind: str, size: np.ndarray, k: int, channels: Channels) -> str:
+def _amount(kind: str, size: np.ndarray, k: int, channels: Words) -> str:
     """The `k`-th number in words."""
     words, x = DIFFERENCES[kind], float(size[k])
     form = words["amount" if channels.hinges[k] or "slides" not in words else "slides"]
@@ -126,7 +116,7 @@ def _amount(kind: str, size: np.ndarray, k: int, channels: Channels) -> str:
     return form.format(x=x, percent=100 * x, degrees=np.degrees(x), mm=1e3 * x, name=name)
 
 
-def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
+def _outlier_words(o: OutlierTrial, channels: Words) -> str:
     why = (
         "nothing simple explains it: did a drive trip, a sensor drop out, are its columns or "
         "units other, or does an effect act that the other trials hardly show?"
@@ -141,7 +131,7 @@ def _outlier_words(o: OutlierTrial, channels: Channels) -> str:
     )
 
 
-def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Channels) -> dict[str, Any]:
+def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Words) -> dict[str, Any]:
     name = differ.names[i]
     outlier = next((o for o in differ.outliers if o.trial == name), None)
     size, unexplained = None, float(differ.error[i])

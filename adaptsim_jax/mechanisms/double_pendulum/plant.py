@@ -43,20 +43,6 @@ def _rigid_mass(c, theta, q):
     return (m11, m12), (m12, p3)
 
 
-def _rigid_sound(c, theta):
-    """`theta` with the inertias raised until the mass matrix is positive definite at every angle:
-    what a regression says of slow motions need not be. For any two bodies (p1 - p3) p3 >= (l1
-    h2)^2.
-    """
-    p1, p3 = float(theta[0]), float(theta[1])
-    couple = (1.05 * float(c["l1"]) * float(theta[3])) ** 2
-    if (p1 - p3) * p3 > couple:
-        return theta
-    first = max(p1 - p3, 0.1 * p1)
-    scale = max(1.0, float(np.sqrt(couple / (first * p3))))
-    return np.concatenate([[scale * (first + p3), scale * p3], theta[2:]])
-
-
 def _rigid_gravity(c, theta, q):
     first, second = sin_cos(jnp.stack([q[0], q[0] + q[1]]))[0]
     return jnp.stack(_rigid_weight(c, theta, first, second))
@@ -76,16 +62,6 @@ def _rigid_push(c, theta, q, v):
     g1, g2 = _rigid_weight(c, theta, first, second)
     f1 = bend * v[1] * (2.0 * v[0] + v[1]) + g1 - theta[4] * v[0]
     f2 = g2 - bend * v[0] * v[0] - theta[5] * v[1]
-    return jnp.stack([f1, f2])
-
-
-def _rigid_momentum_push(c, theta, q, v):
-    """dL/dq and the viscous force: what changes the momentum M v when no torque acts."""
-    first, elbow, second = sin_cos(jnp.stack([q[0], q[1], q[0] + q[1]]))[0]
-    bend = c["l1"] * theta[3] * elbow
-    g1, g2 = _rigid_weight(c, theta, first, second)
-    f1 = g1 - theta[4] * v[0]
-    f2 = g2 - bend * v[0] * (v[0] + v[1]) - theta[5] * v[1]
     return jnp.stack([f1, f2])
 
 
@@ -129,11 +105,9 @@ def linearized_pendulum(
         _linear_mass,
         _linear_push,
         _linear_gravity,
-        _linear_push,
         constants,
         low,
         high,
-        None,  # positive masses are enough
     )
 
 
@@ -168,11 +142,9 @@ def rigid_pendulum(
         _rigid_mass,
         _rigid_push,
         _rigid_gravity,
-        _rigid_momentum_push,
         {k: np.asarray(float(v)) for k, v in constants.items()},
         low,
         high,
-        _rigid_sound,
     )
 
 

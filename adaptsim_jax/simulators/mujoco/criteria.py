@@ -23,7 +23,7 @@ class CandidateCriteria:
 
 @dataclass(frozen=True)
 class SimulationCriteria:
-    """Simulated stretches and their starts (`diagnosed.py`, `stretches.py`, `fit.py`)."""
+    """Simulated stretches and their starts (`diagnosed.py`, `stretches.py`)."""
 
     horizon: float = 0.5  # s: long enough to show slow effects, short enough to follow
     horizon_moving: float = 0.24  # s where a base moves: contact makes longer stretches chaotic
@@ -35,8 +35,6 @@ class SimulationCriteria:
     start_angle: float = 1e-2  # rad (m): scale of a start's angles
     start_speed: float = 0.1  # rad/s (m/s): the same of its speeds
     past: float = 0.1  # s of command before a stretch, for actuators that remember
-    # of a weighted residual (1): less cannot be distinguished from nothing
-    residual_floor: float = 0.01
 
 
 @dataclass(frozen=True)

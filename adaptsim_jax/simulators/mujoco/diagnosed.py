@@ -128,29 +128,8 @@ class MujocoSimulator:
 def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
     """Of a model file over a recording. Raises BadInput as reading and cutting do."""
     made = stepped(source, log)
-    horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
     found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
-    fields: Any = tuple({f.name: f for e in found for f in e.parameters}.values())
-    cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
-    own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
-    felt = made.free >= 0 > made.base
-    channels, measured, mask = _channels(made, own, log)
-    starts = np.zeros((own.count, rollouts.start_size(made)))
-    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
-        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
-    nv, na = made.model.nv, made.model.na
-    scale = np.concatenate(
-        [
-            np.full(nv, SIMULATION.start_angle),
-            np.full(nv, SIMULATION.start_speed),
-            np.full(na, SIMULATION.start_speed),
-        ]
-    )
-    prior = prior_of(made.model, made.free) if felt else None
-    compared = Compared(
-        own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
-    )
     declared = tuple(
         name for e in found if e.name.startswith(f"{DECLARED} at ") for name in e.names
     )
@@ -164,7 +143,34 @@ def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoS
         *source.notes,
         *made.notes,
     )
-    return MujocoSimulator(made, own, fields, declared, channels, compared, wanted, remarks)
+    fields: Any = tuple({f.name: f for e in found for f in e.parameters}.values())
+    plain = simulated(made, log, fields, declared, horizon)
+    return replace(plain, candidates=wanted, remarks=remarks)
+
+
+def simulated(
+    made: Stepped,
+    log: Log,
+    fields: tuple[Field, ...],
+    declared: tuple[str, ...],
+    horizon: float | None = None,
+) -> MujocoSimulator:
+    """A model with these fields over a recording, without candidates."""
+    horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
+    cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
+    own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
+    felt = made.free >= 0 > made.base
+    channels, measured, mask = _channels(made, own, log)
+    starts = np.zeros((own.count, rollouts.start_size(made)))
+    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
+        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
+    nv, na = made.model.nv, made.model.na
+    scale = np.repeat([SIMULATION.start_angle, SIMULATION.start_speed], [nv, nv + na])
+    prior = prior_of(made.model, made.free) if felt else None
+    compared = Compared(
+        own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
+    )
+    return MujocoSimulator(made, own, fields, declared, channels, compared, ())
 
 
 def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:

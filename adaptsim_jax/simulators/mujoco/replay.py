@@ -40,10 +40,9 @@ def replayed(source: Source, log: Log, horizon: float, most: int | None = None) 
     Raises BadInput as `build` and `stretches` do.
     """
     made = stepped(source, log)
-    shortest = 0.98 * min(float(t.time[-1] - t.time[0]) for t in log.trials)
-    longest = max(float(t.time[-1] - t.time[0]) for t in log.trials)
-    span = min(horizon or shortest, longest)
-    total = sum(int((t.time[-1] - t.time[0]) / span + 1e-6) for t in log.trials)
+    spans = [t.span for t in log.trials]
+    span = min(horizon or 0.98 * min(spans), max(spans))
+    total = sum(int(s / span + 1e-6) for s in spans)
     cost = (1 + start_size(made)) * span / float(made.model.opt.timestep)
     stretches = cut(made, log, span, most or max(MIN_STRETCHES, int(REPLAY_STEPS / cost)))
     weight = position_weight(made, stretches)

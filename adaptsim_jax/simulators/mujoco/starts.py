@@ -4,7 +4,7 @@ itself.
 
 import numpy as np
 
-from adaptsim_jax.diagnosis.steps import StretchLanes, best_of, bounded_step, fit_starts
+from adaptsim_jax.diagnosis.steps import best_of, bounded_step, fit_starts
 from adaptsim_jax.simulators.mujoco.build import Stepped
 from adaptsim_jax.simulators.mujoco.rollouts import (
     by_start,
@@ -35,14 +35,11 @@ def fitted(
     stretches: MujocoStretches,
     weight: np.ndarray,
     rounds: int = MAX_START_ROUNDS,
-    begin: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """(starts [W, 2 nv + na] from which the weighted squares are least, residual [W, L, C'] there).
 
-    weight [C'] of each channel; begin: where the search begins (None: the measured starts). A start
-    that the readings do not fix stays near there.
+    weight [C'] of each channel. A start that the readings do not fix stays near the measured one.
     """
-    lanes = np.arange(stretches.count)
 
     def evaluate(starts: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
@@ -53,11 +50,8 @@ def fitted(
         step = np.stack([_step(r, j, weight) for r, j in zip(off, slope, strict=True)])
         return starts + LENGTHS[:, None, None] * step
 
-    if begin is None:
-        zero = np.zeros((stretches.count, start_size(made)))
-        begun = best_of((zero, *_others(made, stretches)), evaluate)
-    else:
-        begun = StretchLanes(begin, *evaluate(begin, lanes))
+    zero = np.zeros((stretches.count, start_size(made)))
+    begun = best_of((zero, *_others(made, stretches)), evaluate)
     readings = begun.left[0].size
     open_ = np.flatnonzero(begun.loss > EXACT_START_SQUARE * readings)
     found = fit_starts(begun, propose, evaluate, rounds, lanes=open_)

@@ -95,11 +95,11 @@ class MendedWorld:
 def make_world(
     given: ModelFile, largest: np.ndarray | None = None, history: int = 2
 ) -> MendedWorld:
-    """The simulator of a mended model, its friction as of `fixed_effect`; `largest`: effect
-    parameters `[E]` at which its memory is measured.
+    """The simulator of a mended model; `largest`: effect parameters `[E]` at which its memory is
+    measured.
     """
     names = [name for name, _ in given.active]
-    effects = tuple(given.fixed_effect(n) for n in dict.fromkeys(names))
+    effects = tuple(given.effect(n) for n in dict.fromkeys(names))
     model = make_model(given.plant(), effects)
     up = 0.0 if given.angle_zero == "upright" else np.pi
     goal = np.array([up, 0.0, 0.0, 0.0])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from adaptsim_jax.logs.pendulum import read_pendulum
-from adaptsim_jax.logs.quality.pendulum_design import CHANNELS, pendulum_trials
+from adaptsim_jax.logs.quality.pendulum_design import WORDS, pendulum_trials
 from adaptsim_jax.logs.quality.trial_words import add_trials, confirmed, headline, sentences
 from tests.logs.arm_files import arm, write
 
@@ -42,7 +42,7 @@ def test_zeros_that_differ_are_told_with_their_sizes(tmp_path, size):
     found = differ_of(tmp_path, moved)
     assert found.kind == "zero" and found.takes > 0.8
     np.testing.assert_allclose(found.size[:, 0], off[:, 0] - np.median(off[:, 0]), atol=0.4 * size)
-    (line,) = sentences(found, CHANNELS)
+    (line,) = sentences(found, WORDS)
     assert "zeros of the angles differ from trial to trial" in line and "degrees) in q1" in line
 
 
@@ -57,10 +57,10 @@ def test_a_trial_apart_is_named_and_offered_to_be_left_out(tmp_path):
     found = differ_of(tmp_path, trials)
     assert [o.trial for o in found.outliers] == ["03", "06"] and found.kind == ""
     assert (
-        "nothing simple explains it" in sentences(found, CHANNELS)[0]
-        and "--without 03" in sentences(found, CHANNELS)[0]
+        "nothing simple explains it" in sentences(found, WORDS)[0]
+        and "--without 03" in sentences(found, WORDS)[0]
     )
-    assert "torques' scale" in sentences(found, CHANNELS)[1]
+    assert "torques' scale" in sentences(found, WORDS)[1]
     assert headline(found) == "03, 06 are apart from the other trials"
 
 
@@ -111,7 +111,7 @@ def test_what_the_mended_model_explains_is_not_told(tmp_path):
     assert not confirmed(found, error).outliers
     rows[3]["after"] = 0.05
     report, evidence = {"error": error, "warnings": ["first"]}, {}
-    add_trials(report, evidence, found, CHANNELS)
+    add_trials(report, evidence, found, WORDS)
     assert report["trials"]["leave_out"] == ["03"] and len(report["warnings"]) == 2
     assert [row["odd"] for row in report["trials"]["each"]] == [k == 3 for k in range(COUNT)]
     assert evidence["audit"][0]["where"] == "trials"

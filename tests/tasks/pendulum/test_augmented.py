@@ -65,26 +65,6 @@ def test_descent_beats_the_stand_ins_for_dry_friction():
 
 
 @pytest.mark.slow
-def test_narrow_friction_is_sharp_to_the_task():
-    """What a width of 10 mrad/s adds to the cost is less than a thousandth; a wide one is
-    simulated.
-    """
-
-    def friction(width):
-        return mended(("coulomb", "joint1", {"level": (5.4, "N m"), "width": (width, "rad/s")}))
-
-    narrow, wide = friction(0.01), friction(0.1)
-    assert make_world(wide).model.layout.effects == (wide.effect("coulomb"),)
-    sharp = make_world(narrow)
-    assert sharp.model.layout.effects != make_world(wide).model.layout.effects
-    theta = jnp.asarray(narrow.theta(sharp.model.plant), jnp.float32)
-    eff = jnp.asarray(narrow.effect_vector(sharp.model.layout), jnp.float32)
-    policy = plain_policy(sharp, theta, eff)
-    cost = [float(world.rollout(policy, theta, eff)[0].cost) for world in (sharp, make_world(wide))]
-    assert cost[0] == pytest.approx(cost[1], rel=1e-3)
-
-
-@pytest.mark.slow
 def test_without_effects_it_is_the_plain_task():
     """Commands are held for 5 ms here and continuous there: the optimal cost moves by less than 2
     %.
