@@ -24,13 +24,49 @@ def _written(row: Mapping) -> str:
     return f"{row['mean']:.4g} ({low:.4g} to {high:.4g})"
 
 
+def verdicts(found: Mapping) -> list[str]:
+    """A sentence by target and method: which simulator's policy returns more, and whether the
+    ranges of seeds are apart.
+    """
+    out = []
+    for target in distinct(found["rows"], "target"):
+        for method in distinct(found["rows"], "method"):
+            both = {
+                r["simulator"]: r
+                for r in found["rows"]
+                if (r["target"], r["method"]) == (target, method)
+            }
+            if found["found"] and len(both) == 2:
+                out.append(f"{target}, {label(method)}: {_compared(**both)}.")
+    return out
+
+
+def _compared(declared: Mapping, mended: Mapping) -> str:
+    more = mended["mean"] - declared["mean"]
+    low, high = (mended, declared) if more < 0.0 else (declared, mended)
+    if len(low["returns"]) == 1:
+        sure = "one seed cannot tell this from luck"
+    elif max(low["returns"]) < min(high["returns"]):
+        sure = "in every seed"
+    else:
+        sure = "the seeds' ranges overlap"
+    word = "more" if more > 0.0 else "LESS"
+    return f"the mended simulator's policy returns {abs(more):.3g} {word} ({sure})"
+
+
+def named(found: Mapping) -> str:
+    """What the diagnosis named, and where."""
+    return "; ".join(f"{e['physics']}, at {e['where']}" for e in found["diagnosis"]["effects"])
+
+
 def table(found: Mapping) -> str:
     """For a terminal: what was found, then a line for each target, method and simulator."""
-    lines = [found["diagnosis"]["message"], ""]
+    lines = [named(found) or found["diagnosis"]["message"], ""]
     lines.append(f"returns after at most {found['trials']} target trials, mean over seeds (range):")
     for target, method, each in cells(found):
         shown = ", ".join(f"{simulator} {value}" for simulator, value in each)
         lines.append(f"  {target}, {method}: {shown}")
+    lines += verdicts(found)
     if not found["found"]:
         lines.append("Nothing was found, so that both simulators are one.")
     return "\n".join(lines)
@@ -38,4 +74,10 @@ def table(found: Mapping) -> str:
 
 def page(found: Mapping) -> str:
     """The page as text."""
-    return filled("closed.html.j2", found=found, cells=cells(found))
+    return filled(
+        "closed.html.j2",
+        found=found,
+        cells=cells(found),
+        named=named(found),
+        verdicts=verdicts(found),
+    )

@@ -9,7 +9,7 @@ import pytest
 from adaptsim_jax.cli import main
 
 ENV = Path(__file__).parents[2] / "examples" / "env.toml"
-FOUND = {"name": "coulomb", "where": "slide", "parameters": {}}
+FOUND = {"name": "coulomb", "where": "slide", "physics": "dry friction", "parameters": {}}
 
 
 def rows(base):
@@ -58,7 +58,10 @@ def test_before_and_after_stand_side_by_side(ran, tmp_path, capsys):
     assert means["declared", "adaptsim"] == 3.5 and means["mended", "udr"] == 12.5
     page = (tmp_path / "c" / "report.html").read_text()
     assert "13.5 (13 to 14)" in page and "It rubs." in page and "mended/report.html" in page
-    assert "mended 13.5 (13 to 14)" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert "mended 13.5 (13 to 14)" in out and "dry friction, at slide" in out
+    assert "dry, AdaptSim: the mended simulator's policy returns 10 more (in every seed)." in out
+    assert "returns 10 more (in every seed)" in page and "Found: dry friction, at slide." in page
 
 
 def test_what_was_done_is_not_done_again(ran, tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import json
 
+import jax
 import numpy as np
 import pytest
 
@@ -10,6 +11,7 @@ from adaptsim_jax.environments.diagnosed import diagnosed
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
 from adaptsim_jax.environments.task import task_of
 from adaptsim_jax.mend.randomisation import read_randomisation, write_randomisation
+from adaptsim_jax.tasks.registry import make_task
 from tests.environments import catalogue
 
 LEVEL = {"value": 0.1, "low": 0.08, "high": 0.12, "unit": "N m"}
@@ -76,6 +78,30 @@ def test_omega_and_the_first_mean_of_e_are_the_diagnosis(folder):
         setting_of(catalogue.arm(), EnvironmentConfig(**options | {"start": off}))
     ).first
     assert first is not None and first[0] == pytest.approx(0.25) and first[1] == pytest.approx(0.5)
+
+
+def test_the_first_mean_of_e_is_known_within_a_traced_program(folder):
+    config = EnvironmentConfig(**diagnosed({"fields": {"body:fore.mass": [0.1, 5.0]}}, folder))
+    setting = setting_of(catalogue.arm(), config)
+    first = jax.jit(lambda x: x + task_of(setting).first)(0.0)
+    np.testing.assert_allclose(first, 0.5, atol=0.01)
+
+
+def test_an_environment_takes_a_model_by_name_and_a_mass_on_a_table_does_not():
+    with pytest.raises(BadInput, match="nowhere/model.toml"):
+        make_task("environment", {"env": "cartpole", "model": "nowhere/model.toml"})
+    with pytest.raises(BadInput, match="not in this version yet"):
+        make_task("scooping", {"model": "nowhere/model.toml"})
+
+
+def test_a_delay_of_every_command_is_a_number_of_the_laws(tmp_path):
+    catalogue.written(tmp_path, "delay")
+    model = str(tmp_path / "model.toml")
+    config = EnvironmentConfig(model=model, fields={"delay": [0.0, 0.03]})
+    setting = setting_of(catalogue.arm(), config)
+    delay = np.array([0.02], np.float32)
+    _, laws = setting.sim.edit(setting.sim.model, setting.fields, delay)
+    np.testing.assert_allclose(laws.values.effects["delay"]["delay"], 0.02)
 
 
 def test_what_is_known_well_is_not_moved(folder):
