@@ -134,7 +134,9 @@ class ServoDiagnosis:
 
     def knows_scale(self, joint: int) -> bool:
         """Whether kp itself is known at a joint, and not only what is over it."""
-        return bool(self.shows_gain(joint) and self.scale_spread[joint] < CLOSED_LOOP.scale_known)
+        shown = self.found.scale_shown
+        certain = self.scale_spread[joint] < CLOSED_LOOP.scale_known
+        return bool(certain and self.shows_gain(joint) and (not shown or shown[joint]))
 
     def shows_gain(self, joint: int) -> bool:
         """Whether kp shows at all at a joint, damping and limit as they are."""

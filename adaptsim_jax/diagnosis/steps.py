@@ -211,6 +211,7 @@ def fit_starts(
     evaluate: Evaluate,
     rounds: int,
     enough: float = CONVERGED_GAIN,
+    lanes: np.ndarray | None = None,
     every: bool = False,
 ) -> StretchLanes:
     """Starts fitted with all values held, each stretch by itself until a round gains it little.
@@ -222,11 +223,12 @@ def fit_starts(
         evaluate: what starts leave.
         rounds: of proposals at most.
         enough: share of its loss that a round must take off a stretch for another.
+        lanes: stretches that are fitted; all where None.
         every: whether a stretch takes the best of all proposals, and not the first that lowers its
             loss (where contact bends it, the first may be a small part of what can be had).
     """
     starts, left, loss = (z.copy() for z in begun)
-    on = np.arange(len(loss))
+    on = np.arange(len(loss)) if lanes is None else lanes
     for _ in range(rounds):
         if not len(on):
             break

@@ -13,6 +13,7 @@ PROBLEM = SimpleNamespace(
     joint_names=("lift", "elbow"),
     joints=2,
     kinds=("slide", "hinge"),
+    units=("m", "rad"),
     effect=lambda name: next(e for e in MACHINE if e.name == name),
 )
 

@@ -68,17 +68,30 @@ def _missing(q: np.ndarray, others: np.ndarray) -> np.ndarray:
 def _gains(
     place: np.ndarray, scaled: np.ndarray, rows: np.ndarray, joints: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How much likelier `rows [K]` are with rows missing after them, and how many `[K]`."""
+    """How much likelier `rows [K]` are with rows missing after them, and how many `[K]`; not at all
+    where more than the most would be likelier yet.
+    """
     beside = rows[:, None] + AROUND
     times = place[beside] - place[rows][:, None]
     score = np.stack(
         [
             _surprise(_misses(times + m * (AROUND > 0)) @ scaled[beside])
-            for m in range(HOLE.longest + 1)
+            for m in range(HOLE.longest + 2)
         ]
     )
     score[1:][~_passed(scaled[beside][:, :, :joints])] = np.inf
-    return score[0] - np.min(score[1:], axis=0), 1 + np.argmin(score[1:], axis=0)
+    count = 1 + np.argmin(score[1:], axis=0)
+    gain = score[0] - np.min(score[1:], axis=0)
+    none = (count > HOLE.longest) | _stepped(scaled[beside][:, :, joints:])
+    return np.where(none, -np.inf, gain), count
+
+
+def _stepped(x: np.ndarray) -> np.ndarray:
+    """Whether a target of `x [K, 6, m]` stands, steps and stands: joints that then move began
+    between two rows, of which none is missing.
+    """
+    way = np.abs(np.diff(x, axis=1)[:, 1:4])
+    return np.any((way[:, 1] > HOLE.slow) & (way[:, [0, 2]].max(1) < 1e-9 * way[:, 1]), axis=1)
 
 
 def _passed(q: np.ndarray) -> np.ndarray:
@@ -90,7 +103,7 @@ def _passed(q: np.ndarray) -> np.ndarray:
     fastest = np.maximum(np.abs(before), np.abs(after))
     wide = np.abs(after - before) + 0.5 * fastest + HOLE.slow
     low, high = np.minimum(before, after) - wide, np.maximum(before, after) + wide
-    rows = 2 + np.arange(HOLE.longest)[:, None, None]
+    rows = 2 + np.arange(HOLE.longest + 1)[:, None, None]
     jump = q[:, 3] - q[:, 2]
     leaps = np.any(np.abs(jump) > HOLE.leap * fastest + HOLE.slow, axis=1)
     return leaps & np.all((low < jump / rows) & (jump / rows < high), axis=2)

@@ -30,7 +30,6 @@ class ClosedLoopCriteria:
     min_change: float = 0.05  # of kp, damping or a limit of the file, that is worth a name
     # by which the change of another number, in its usual size, counts: a hundredth is worth a name
     units: float = 5.0
-    near_bound: float = 0.05  # of its range: a number that near to an end of it is at the end
     # times the noise, that one number which explains all leaves at most after three rounds
     hopeful: float = 10.0
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
@@ -45,9 +44,9 @@ class ClosedLoopCriteria:
     own: int = 2  # numbers of one joint beside its law, at most
     # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
     scale_known: float = 0.05
-    # times kp: a joint that is simulated alike by that shows no kp (a bar claims 15 %)
+    # times kp, or the whole scale: a joint that is simulated alike by that does not show it
     other_gain: float = 1.3
-    clearly: float = 0.1  # of the squared error (log), that such a kp must leave more at least
+    clearly: float = 0.1  # of the squared error (log), that such a law must leave more at least
     near: float = 0.01  # m: a centre of mass that is nearer to its joint shows no way outward
     tool: float = 0.1  # m, of the same, where fits begin: most tools are that long
     reach: float = 0.5  # m, at most, from a body's centre of mass to that of what it carries

@@ -24,7 +24,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     times_noise,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, at_end, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
@@ -50,6 +50,7 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     or_other_friction,
     or_rival,
     or_stepped,
+    scale_shown,
     with_mass,
 )
 from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
@@ -101,7 +102,8 @@ class ServoLaws:
         whole: The trials.
         instead: Joints whose kp and damping, times one factor, say what a mass that is carried
             does.
-        gain_shown: By joint, whether another kp alone is simulated worse.
+        gain_shown, scale_shown: By joint, whether another kp alone, and another scale of its
+            servo, are simulated worse.
     """
 
     recording: Recording
@@ -112,6 +114,7 @@ class ServoLaws:
     whole: WholeTrials
     instead: tuple[int, ...] = ()
     gain_shown: tuple[bool, ...] = ()
+    scale_shown: tuple[bool, ...] = ()
 
     @property
     def laws(self) -> list[ServoLaw]:
@@ -197,8 +200,8 @@ def identified(
         found, members = _borne_out(whole, found, file, notify, seen)
     found = polished(whole, found.model)
     after = left_out_errors(whole, found)
-    shown = gain_shown(whole, found)
-    return ServoLaws(recording, found, members, before, after, whole, instead, shown)
+    shown = gain_shown(whole, found), scale_shown(whole, found)
+    return ServoLaws(recording, found, members, before, after, whole, instead, *shown)
 
 
 def _nothing_lacking(
@@ -322,8 +325,7 @@ def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawF
     for _ in range(CLOSED_LOOP.own):
         for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
             new = fitted(problem, start, 8)
-            ends = at_end(problem.servo, problem.scales, new.law, new.free[-1])
-            if not ends and preferred(problem, fit, new):
+            if preferred(problem, fit, new):
                 fit = new
                 break
         else:
@@ -446,8 +448,6 @@ def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> 
         return float(abs(np.log(getattr(law, number) / getattr(file, number))))
     if name == "limit" and file.limit < OPEN:
         return float(abs(np.log(law.limit / file.limit)))
-    if at_end(problem.servo, problem.scales, law, name):
-        return 0.0
     off = abs(getattr(law, name) - getattr(file, name))
     if name == "rotor":
         return float(off / (problem.step * law.damping) * CLOSED_LOOP.min_change)

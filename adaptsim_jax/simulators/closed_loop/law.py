@@ -311,9 +311,10 @@ def moved(
     return bounded(servo, scales, ServoLaw(**new), free)
 
 
-def ranges_of(servo: Servo, scales: Scales) -> dict[str, tuple[float, float]]:
-    """Lowest and highest value of numbers of a law."""
-    return {
+def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
+    """The law with what is fitted of it within its range."""
+    new = law._asdict()
+    ranges = {
         "rub": (0.0, np.inf),
         "delay": (0.0, CLOSED_LOOP.history - 0.02),
         "lag": (0.0, 0.5),
@@ -327,11 +328,6 @@ def ranges_of(servo: Servo, scales: Scales) -> dict[str, tuple[float, float]]:
         "reach": (-0.2 * CLOSED_LOOP.reach, CLOSED_LOOP.reach),
         "spring": (0.0, np.inf),
     }
-
-
-def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
-    """The law with what is fitted of it within its range."""
-    new, ranges = law._asdict(), ranges_of(servo, scales)
     for name in free:
         if name in ranges:
             new[name] = float(np.clip(new[name], *ranges[name]))
@@ -339,15 +335,6 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         # friction beyond what the servo itself can give is none
         new["rub"] = min(new["rub"], 2.0 * new["kp"] * scales.error)
     return ServoLaw(**new)
-
-
-def at_end(servo: Servo, scales: Scales, law: ServoLaw, name: str) -> bool:
-    """Whether a number is at an end of its range that is not the file's: what asks for more than a
-    servo can have is another effect.
-    """
-    value, file = getattr(law, name), getattr(servo.law, name)
-    ends = [z for z in ranges_of(servo, scales).get(name, ()) if np.isfinite(z) and z != file]
-    return any(abs(value - z) < CLOSED_LOOP.near_bound * abs(z - file) for z in ends)
 
 
 def inner_damping(servo: Servo, damping: Any) -> Any:

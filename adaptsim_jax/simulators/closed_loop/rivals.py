@@ -2,7 +2,7 @@
 trials.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import LawFit
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
-from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw
+from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.polish import (
     FittedServos,
     Polished,
@@ -145,16 +145,35 @@ def or_files_gain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw])
 
 
 def gain_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
-    """Whether whole trials show kp at each joint: they are simulated worse by another kp alone,
-    damping and limit as they are, in either direction.
+    """Whether whole trials show kp at each joint, damping and limit as they are."""
+    laws = found.model.laws
+    return _shown(whole, found, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
+
+
+def scale_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
+    """Whether they show the scale of all that was fitted of each joint's servo together."""
+
+    def other(j: int, z: float) -> ServoLaw:
+        fit, p = found.model.fits[j], whole.problems[j]
+        step = np.array([z * (name == "scale") for name in fit.free])
+        return moved(p.servo, p.scales, fit.law, fit.free, step)
+
+    return _shown(whole, found, other)
+
+
+def _shown(
+    whole: WholeTrials, found: Polished, other: Callable[[int, float], ServoLaw]
+) -> tuple[bool, ...]:
+    """Whether each joint is simulated worse by another law of its servo: by `other(joint, z)`, in
+    either direction of z, the logarithm of a factor.
     """
-    laws, joints, times = found.model.laws, range(len(found.model.laws)), CLOSED_LOOP.other_gain
-    other = [(j, z) for j in joints if laws[j].kp for z in (times, 1.0 / times)]
+    laws, joints, z = found.model.laws, range(len(found.model.laws)), np.log(CLOSED_LOOP.other_gain)
+    tried = [(j, way) for j in joints if "scale" in found.model.fits[j].free for way in (z, -z)]
     every = whole.errors(
-        [[w._replace(kp=w.kp * z) if i == j else w for i, w in enumerate(laws)] for j, z in other]
+        [[other(j, way) if i == j else law for i, law in enumerate(laws)] for j, way in tried]
     )
     here, worse = over_noise(whole, found.errors), dict.fromkeys(joints, np.inf)
-    for (j, _), error in zip(other, every, strict=True):
+    for (j, _), error in zip(tried, every, strict=True):
         worse[j] = min(worse[j], 2.0 * np.log(over_noise(whole, error)[j] / here[j]))
     return tuple(worse[j] > CLOSED_LOOP.clearly for j in joints)
 

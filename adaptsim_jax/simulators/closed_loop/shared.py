@@ -24,7 +24,7 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     weights,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
-from adaptsim_jax.simulators.closed_loop.law import at_end, bounded, moved
+from adaptsim_jax.simulators.closed_loop.law import bounded, moved
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
 LATE = ("delay", "lag")
@@ -207,11 +207,6 @@ def likely_shared(
     return [(names[int(i)], float(step[i])) for i in order if gain[i] > 0.003][:3]
 
 
-def _ends(problems: Sequence[JointProblem], found: Attempt) -> bool:
-    rows = zip(problems, found.fits, strict=True)
-    return any(at_end(p.servo, p.scales, f.law, found.name) for p, f in rows)
-
-
 def one_more_shared(
     problems: Sequence[JointProblem], fits: Sequence[LawFit], names: Sequence[str]
 ) -> tuple[Attempt | None, list[Attempt]]:
@@ -228,7 +223,7 @@ def one_more_shared(
         begin = value + float(np.clip(0.5 * step, -50 * unit, 50 * unit))
         new = fitted_shared(problems, own, name, begin)
         tried.append(attempted(problems, fits, name, new))
-    passed = [a for a in tried if a.passes and not _ends(problems, a)]
+    passed = [a for a in tried if a.passes]
     if not passed:
         return None, tried
     return max(passed, key=lambda a: a.gain), tried
