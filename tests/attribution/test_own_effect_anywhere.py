@@ -87,7 +87,7 @@ starts = starts_of(problem)
 paths = run(problem, null, starts)
 weights = weigh(problem, paths)
 lin = linear(problem, TreeFit(null, starts, weights, losses(problem, paths, weights), "", 0))
-scores = {(s.candidate.effect, *s.candidate.joints): s.held_out for s in table(problem, lin, own)}
+scores = {(s.candidate.effect, *s.candidate.joints): s.scatter for s in table(problem, lin, own)}
 
 (balance,) = balances(problem, machine.tracks)
 state = SimpleNamespace(
@@ -148,7 +148,7 @@ def answers(tmp_path_factory):
 def test_both_judges_score_it_at_every_joint(answers, judge):
     found = {(name, joint): size for name, joint, size in answers[judge]}
     assert set(found) == {(name, joint) for name in ("brush", "magnet") for joint in (0, 1)}
-    assert all(size > 0.0 for size in found.values())
+    assert all(size > 0.0 for size in found.values()), found
 
 
 def test_it_is_listed_and_excluded_by_name_and_place(answers):

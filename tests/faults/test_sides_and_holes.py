@@ -11,6 +11,7 @@ import pytest
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.logs.quality.holes import holes
 from adaptsim_jax.logs.read import read_log
 from experiments import close_cartpole
 from tests.faults.servo_files import noisy, sines, swung
@@ -185,6 +186,27 @@ def test_steps_of_targets_and_whole_logs_have_no_holes(tmp_path):
         (tmp_path / name).mkdir()
         log = with_holes(tmp_path / name, lambda k, rows: np.ones(rows, bool), drive)
         assert not any("rows are missing" in note for note in log.notes)
+
+
+def followed(seed, late, rate, rows=500, joints=6):
+    """A trial of servos that follow a target of steps within `late` s: time, angles, targets."""
+    rng = np.random.default_rng(seed)
+    gaps = np.cumsum(rng.integers(40, 80, rows // 40))
+    poses = np.cumsum(rng.normal(0.0, 0.3, (len(gaps) + 1, joints)), axis=0)
+    targets = poses[np.searchsorted(gaps, np.arange(rows), side="right")]
+    q = targets.copy()
+    for k in range(rows - 1):
+        q[k + 1] = targets[k] + (q[k] - targets[k]) * np.exp(-1.0 / rate / late)
+    return (
+        np.arange(rows) / rate,
+        np.round((q + rng.normal(0.0, 1e-4, q.shape)) / 5e-4) * 5e-4,
+        targets,
+    )
+
+
+@pytest.mark.parametrize("late, rate", [(0.03, 50.0), (0.06, 30.0), (0.0845, 30.0), (0.12, 100.0)])
+def test_steps_that_servos_follow_leave_no_holes(late, rate):
+    assert holes([followed(k, late, rate) for k in range(6)]) is None
 
 
 @pytest.mark.parametrize("pause, parts", [(600.0, 2), (2.0, 1)])

@@ -87,11 +87,13 @@ def _gains(
 
 
 def _stepped(x: np.ndarray) -> np.ndarray:
-    """Whether a target of `x [K, 6, m]` stands, steps and stands: joints that then move began
-    between two rows, of which none is missing.
+    """Whether a target of `x [K, 6, m]` stands, steps and stands: what joints then do tells of no
+    missing row.
     """
-    way = np.abs(np.diff(x, axis=1)[:, 1:4])
-    return np.any((way[:, 1] > HOLE.slow) & (way[:, [0, 2]].max(1) < 1e-9 * way[:, 1]), axis=1)
+    way = np.abs(np.diff(x, axis=1))
+    most = np.max(way, axis=1)
+    steps = np.count_nonzero(way > 1e-9 * most[:, None], axis=1)
+    return np.any((steps == 1) & (most > HOLE.slow), axis=1)
 
 
 def _passed(q: np.ndarray) -> np.ndarray:
