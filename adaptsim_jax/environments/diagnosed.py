@@ -6,6 +6,7 @@ from pathlib import Path
 
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.environments.targets import DECLARED
 from adaptsim_jax.mend.randomisation import FILE, Randomised, read_randomisation
 
 KNOWN = 0.02
@@ -19,8 +20,9 @@ def diagnosed(options: Table, folder: str | Path) -> Table:
     """`options` of `EnvironmentConfig` with the model, Omega and E's first mean of the diagnosis in
     `folder`.
 
-    Omega has the fields that `options` name, in the ranges of the diagnosis where it knows them,
-    and what was found besides. BadInput where nothing is left to move.
+    Targets stay the declared machine with what their tables say, unless they name a model. Omega
+    has the fields that `options` name, in the ranges of the diagnosis where it knows them, and what
+    was found besides. BadInput where nothing is left to move.
     """
     path = Path(folder) / FILE
     if not path.exists():
@@ -45,7 +47,9 @@ def diagnosed(options: Table, folder: str | Path) -> Table:
         if name in known:
             start[name] = known[name].centre
     model = str((Path(folder) / "model.toml").resolve())
-    return options | {"model": model, "fields": fields, "start": start}
+    tables = options.get("targets") or {"nominal": {}}
+    targets = {name: {"model": DECLARED} | dict(table) for name, table in tables.items()}
+    return options | {"model": model, "fields": fields, "start": start, "targets": targets}
 
 
 def _range(row: Randomised) -> list[float]:

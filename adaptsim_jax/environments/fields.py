@@ -83,6 +83,11 @@ class Lawed(NamedTuple):
     own: Mapping[str, ModelField]
 
 
+def of_law(field: ModelField) -> bool:
+    """Whether a field is a number of a law that a diagnosis found."""
+    return field.name.startswith("effect:")
+
+
 def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
     """The field called `name` of `model`, an MjModel or gymnax's parameters. BadInput with the
     nearest names where the model has none.

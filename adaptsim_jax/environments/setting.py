@@ -16,11 +16,11 @@ from adaptsim_jax.environments.episodes import (
     Play,
     make_play,
 )
-from adaptsim_jax.environments.fields import ModelField, field_of, space_of
+from adaptsim_jax.environments.fields import ModelField, field_of, of_law, space_of
 from adaptsim_jax.environments.mended import as_asked, mended
 from adaptsim_jax.environments.peers import from_gymnax
 from adaptsim_jax.environments.simulated import SimulatedTask, simulated
-from adaptsim_jax.environments.targets import Target, hidden_fields, target_of
+from adaptsim_jax.environments.targets import DECLARED, Target, hidden_fields, target_of
 from adaptsim_jax.environments.trainer import PlannerConfig, PPOTraining, Trainer, make_ppo_trainer
 from adaptsim_jax.space import Space
 
@@ -91,7 +91,8 @@ def read_env(path: str | Path) -> Table:
         options["env"] = f"{(Path(path).parent / home).resolve()}:{thing}"
     targets = options.get("targets", {})
     for holder in (options, *(targets.values() if isinstance(targets, dict) else ())):
-        if isinstance(holder, dict) and isinstance(holder.get("model"), str) and holder["model"]:
+        model = holder.get("model") if isinstance(holder, dict) else None
+        if isinstance(model, str) and model not in ("", DECLARED):
             holder["model"] = str((Path(path).parent / holder["model"]).resolve())
     configs.from_table(EnvironmentConfig, options, str(path))
     return {key: table[key] for key in OF_RUN if key in table} | {"task": options}
@@ -107,8 +108,9 @@ FORM = 4  # of what is learned: what was learned in another is learned anew
 
 
 class Setting(NamedTuple):
-    """All that an environment's task is made of, before anything is learned. `env`: as it was
-    given; fields: Omega's, then those that only targets have, whose nominal values are `rest [R]`.
+    """All that an environment's task is made of, before anything is learned. `declared`: as it was
+    given; `env`: with the config's `model`; fields: Omega's, then those that only targets have,
+    whose nominal values are `rest [R]`.
     """
 
     config: EnvironmentConfig
@@ -120,6 +122,7 @@ class Setting(NamedTuple):
     trainer: Trainer
     targets: Mapping[str, Target]
     rest: jax.Array
+    declared: Any
 
 
 def setting_of(
@@ -128,6 +131,7 @@ def setting_of(
     """`env` with `config`; all that a person may have got wrong is told here, before anything is
     compiled.
     """
+    declared = env
     if config.model:
         env = mended(env, config.model)
     raw = environment(env, where=where)
@@ -140,7 +144,8 @@ def setting_of(
 
     fields = tuple(map(own, (*omega, *hidden_fields(raw.names, table, omega))))
     omega = fields[: space.dim]
-    targets = {name: _target(name, given, fields, env, raw) for name, given in table.items()}
+    both = env, declared
+    targets = {name: _target(name, given, fields, both, raw) for name, given in table.items()}
     sim = environment(env, omega, config.length, where)
     longest = [
         p.high + config.wide * (p.high - p.low) for p in space.parameters if p.name == "delay"
@@ -148,20 +153,24 @@ def setting_of(
     play = make_play(sim, omega, max(longest, default=0.0))
     rest = jnp.asarray([f.nominal for f in fields[space.dim :]], jnp.float32)
     made = trainer(play, space, config.training, obs_dim_of(play, omega, where))
-    return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest)
+    return Setting(config, env, sim, space, fields, play, compiled(made), targets, rest, declared)
 
 
 def _target(
-    name: str, given: Any, fields: tuple[ModelField, ...], env: Any, raw: SimulatedTask
+    name: str, given: Any, fields: tuple[ModelField, ...], both: tuple[Any, Any], raw: SimulatedTask
 ) -> Target:
     """A target; with a `model` of its own, what it does not name is as that says. Where something
-    acts beside MJX, the engine is the simulator unless the target says otherwise.
+    acts beside MJX, the engine is the simulator unless the target says otherwise. both: the
+    environment with the config's model, and without.
     """
+    env, declared = both
     if given.get("model"):
-        raw = environment(mended(env, given["model"]))
-        found = {f.name: field_of(raw.names, f.name).nominal for f in fields}
+        own = declared if given["model"] == DECLARED else mended(env, given["model"])
+        raw = environment(own)
+        known = [f.name for f in fields if raw.laws is not None or not of_law(f)]
+        found = {name: field_of(raw.names, name).nominal for name in known}
         found |= raw.interface
-        fields = tuple(replace(f, nominal=found[f.name]) for f in fields)
+        fields = tuple(replace(f, nominal=found.get(f.name, f.nominal)) for f in fields)
     if raw.laws is not None:
         given = {"engine": "simulator"} | dict(given)
     return target_of(name, given, fields, raw.native is not None)

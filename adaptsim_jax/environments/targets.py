@@ -40,9 +40,13 @@ INTEGRATORS = {
 }
 
 
+DECLARED = "declared"
+"""The model of a target that is the environment as it is without its `model`."""
+
+
 class Target(NamedTuple):
     """values `[F]` of all fields, those of Omega first; the engine's name, integrator and steps;
-    the `model.toml` that it has, or none.
+    the `model.toml` that it has, `DECLARED`, or none.
     """
 
     values: np.ndarray

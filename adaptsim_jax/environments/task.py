@@ -27,7 +27,7 @@ from adaptsim_jax.environments.episodes import (
     make_play,
     visit,
 )
-from adaptsim_jax.environments.fields import ModelField
+from adaptsim_jax.environments.fields import ModelField, of_law
 from adaptsim_jax.environments.mended import mended
 from adaptsim_jax.environments.peers import OWN, load
 from adaptsim_jax.environments.policies import (
@@ -47,7 +47,7 @@ from adaptsim_jax.environments.setting import (
     obs_dim_of,
     setting_of,
 )
-from adaptsim_jax.environments.targets import Target, native_physics
+from adaptsim_jax.environments.targets import DECLARED, Target, native_physics
 from adaptsim_jax.environments.trainer import Worlds
 from adaptsim_jax.space import Space
 from adaptsim_jax.tasks.base import Preparation, Task
@@ -279,10 +279,17 @@ def play_in(setting: Setting, target: Target) -> tuple[Play, Array]:
     changes have a value.
     """
     D = setting.space.dim
-    held = [i for i, f in enumerate(setting.fields) if i < D or target.values[i] != f.nominal]
+    declared = target.model == DECLARED  # which has no numbers of laws that were found
+    held = [
+        i
+        for i, f in enumerate(setting.fields)
+        if (i < D or target.values[i] != f.nominal) and not (declared and of_law(f))
+    ]
     fields, values = tuple(setting.fields[i] for i in held), target.values[held]
     longest, given = longest_delay(fields, values), jnp.asarray(values, jnp.float32)
-    env = mended(setting.env, target.model) if target.model else setting.env
+    env = setting.declared if declared else setting.env
+    if target.model and not declared:
+        env = mended(env, target.model)
     sim = environment(env, fields, setting.config.length)
     if target.engine == "simulator":
         return make_play(sim, fields, longest), given

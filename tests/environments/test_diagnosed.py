@@ -9,7 +9,7 @@ import pytest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.environments.diagnosed import diagnosed
 from adaptsim_jax.environments.setting import EnvironmentConfig, setting_of
-from adaptsim_jax.environments.task import task_of
+from adaptsim_jax.environments.task import play_in, task_of
 from adaptsim_jax.mend.randomisation import read_randomisation, write_randomisation
 from adaptsim_jax.tasks.registry import make_task
 from tests.environments import catalogue
@@ -78,6 +78,24 @@ def test_omega_and_the_first_mean_of_e_are_the_diagnosis(folder):
         setting_of(catalogue.arm(), EnvironmentConfig(**options | {"start": off}))
     ).first
     assert first is not None and first[0] == pytest.approx(0.25) and first[1] == pytest.approx(0.5)
+
+
+def test_targets_stay_the_declared_machine(folder):
+    targets = {"real": {"joint:shoulder.frictionloss": 0.3}}
+    options = diagnosed({"fields": {"body:fore.mass": [0.1, 5.0]}, "targets": targets}, folder)
+    setting = setting_of(catalogue.arm(), EnvironmentConfig(**options))
+    assert setting.sim.laws is not None
+    target = setting.targets["real"]
+    play, values = play_in(setting, target)
+    numbers = dict(zip([f.name for f in play.fields], np.asarray(values), strict=True))
+    declared = setting_of(
+        catalogue.arm(), EnvironmentConfig(fields={"body:fore.mass": [0.1, 5.0]})
+    ).sim
+    assert play.sim.laws is None and target.engine == "mujoco"
+    assert numbers["joint:shoulder.frictionloss"] == pytest.approx(0.3)
+    assert numbers["body:fore.mass"] == pytest.approx(0.5)
+    assert not any(name.startswith("effect:") for name in numbers)
+    np.testing.assert_allclose(play.sim.native.body_mass, declared.native.body_mass)
 
 
 def test_the_first_mean_of_e_is_known_within_a_traced_program(folder):
