@@ -3,7 +3,7 @@ whose masses nobody declared.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -58,7 +58,7 @@ from adaptsim_jax.logs.quality.pendulum_design import (
 )
 from adaptsim_jax.logs.quality.trial_words import add_trials
 from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.mend.pendulum_model import ModelFile, text_of
+from adaptsim_jax.mend.pendulum_model import text_of
 
 LINKS = (
     "m1",
@@ -70,8 +70,6 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
-Reward = Callable[[ModelFile, ModelFile], dict[str, Any] | None]
-"""What a mended model is worth to the task, of the declared and the mended model."""
 
 
 def diagnose_pendulum(
@@ -85,7 +83,6 @@ def diagnose_pendulum(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
-    reward: Reward | None = None,
 ) -> dict[str, Any]:
     """Which effects a recorded double pendulum has that a rigid body lacks.
 
@@ -100,7 +97,6 @@ def diagnose_pendulum(
         progress, page: As of `attribution.diagnose.diagnose`.
         as_declared: What the motion contradicts of the columns is taken all the same.
         effects: The catalogue, ours where None.
-        reward: What the mended model is worth to the task, of the declared and the mended model.
 
     Returns:
         The report (`diagnosis.schema`). Raises BadInput where the data cannot be read, or
@@ -131,7 +127,7 @@ def diagnose_pendulum(
         objective=STRETCHES,
         torques=rig.model == LINEAR,
     )
-    return _searched(log, checked, setting, notify, reward, run, output)
+    return _searched(log, checked, setting, notify, run, output)
 
 
 def _searched(
@@ -139,7 +135,6 @@ def _searched(
     checked: Audit,
     setting: DiagnosisSetting,
     notify: Note,
-    reward: Reward | None,
     run: Run,
     output: Output,
 ) -> dict[str, Any]:
@@ -152,11 +147,8 @@ def _searched(
         report, evidence = _reported(log, found, checked)
         provenance = {k: report[k] for k in ("verdict", "message")}
         provenance |= {"data": log.path} | run.as_dict()
-        null, _ = model_file(rig, found.problem, found.found.null, {})
         file, lost = model_file(rig, found.problem, found.found.final, provenance)
         report["notes"] += lost
-        if reward is not None and found.found.named:
-            _add_reward(report, lambda: reward(null, file))
         files = {"model.toml": lambda: text_of(file)}
         if rig.model != LINEAR:  # which no MJCF can say
             files |= mjcf_files(found)
@@ -197,16 +189,6 @@ def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], di
     add_trials(report, evidence, pendulum_trials(log), WORDS)
     evidence["audit"] += checked.rows
     return report, evidence
-
-
-def _add_reward(report: dict[str, Any], reward: Callable[[], dict[str, Any] | None]) -> None:
-    """Put into a report what the mended model is worth to the task, if that is known, in place."""
-    try:
-        if worth := reward():
-            report["task_reward"] = worth
-    except Exception as error:  # policies are trained for it: the search must not go with them
-        why = " ".join(str(error).split())
-        report["warnings"].append(f"what it is worth to the task is not known: {why}")
 
 
 def first_parameters(log: Log) -> np.ndarray:
