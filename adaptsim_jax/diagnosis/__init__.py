@@ -22,16 +22,12 @@ if TYPE_CHECKING:
     from adaptsim_jax.logs.read import read_log as read_log
     from adaptsim_jax.mechanisms.plant import Plant as Plant
     from adaptsim_jax.mechanisms.registry import make_plant as make_plant
-    from adaptsim_jax.mend.pendulum_model import ModelFile as ModelFile
-    from adaptsim_jax.mend.pendulum_model import read_model as read_model
-    from adaptsim_jax.mend.pendulum_model import write_model as write_model
 
 __all__ = [
     "Criteria",
     "Dry",
     "Effect",
     "Log",
-    "ModelFile",
     "Plant",
     "Quantity",
     "Relaxation",
@@ -40,9 +36,7 @@ __all__ = [
     "effect_named",
     "make_plant",
     "read_log",
-    "read_model",
     "read_pendulum",
-    "write_model",
 ]
 
 __getattr__ = lazily(
@@ -51,7 +45,6 @@ __getattr__ = lazily(
         "Criteria": "diagnosis.criteria",
         "Dry": "effects.base",
         "Effect": "effects.base",
-        "ModelFile": "mend.pendulum_model",
         "Plant": "mechanisms.plant",
         "Quantity": "effects.base",
         "Log": "logs.log",
@@ -62,8 +55,6 @@ __getattr__ = lazily(
         "effect_named": "effects.registry",
         "make_plant": "mechanisms.registry",
         "read_pendulum": "logs.pendulum",
-        "read_model": "mend.pendulum_model",
-        "write_model": "mend.pendulum_model",
     },
 )
 

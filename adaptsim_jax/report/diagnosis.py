@@ -45,7 +45,7 @@ MOST_CANDIDATES = 8
 """Rows of candidates that the page shows at first."""
 
 GOES_TO = {
-    "pendulum": "adaptsim train --model, adapt and diagnose",
+    "pendulum": "adaptsim replay, diagnose and env.toml",
     "mechanism": "adaptsim replay",
     "pushing": "adaptsim train pushing --model",
     "scooping": "people: no command takes it yet",

@@ -14,7 +14,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "your-own-effect.md"
 def test_the_pages_blocks_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
-    assert len(blocks) == 4
+    assert len(blocks) == 3
     names = {}
     for block in blocks:
         exec(compile(block, str(PAGE), "exec"), names)
