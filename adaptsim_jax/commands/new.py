@@ -73,7 +73,8 @@ def run(args: argparse.Namespace) -> int:
 def _names(kind: str) -> tuple[str, ...]:
     """What is known of a kind."""
     if home := KINDS[kind].get("registry"):
-        return tuple(EntryPoint(kind, f"adaptsim_jax.{home}", "").load().own)
+        found = EntryPoint(kind, f"adaptsim_jax.{home}", "").load()
+        return tuple(found() if callable(found) else found.own)
     return ()
 
 
