@@ -198,10 +198,24 @@ def identified(
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify, seen)
-    found = polished(whole, found.model)
+    notify("whole trials in finer steps")
+    whole, found = _in_settled_steps(whole, polished(whole, found.model))
     after = left_out_errors(whole, found)
     shown = gain_shown(whole, found), scale_shown(whole, found)
-    return ServoLaws(recording, found, members, before, after, whole, instead, *shown)
+    return ServoLaws(whole.recording, found, members, before, after, whole, instead, *shown)
+
+
+def _in_settled_steps(whole: WholeTrials, found: Polished) -> tuple[WholeTrials, Polished]:
+    """Whole trials in steps that are halved until this moves no joint by what counts beside the
+    noise, and the servos fitted to them.
+    """
+    for _ in range(CLOSED_LOOP.halvings):
+        finer = replace(whole, recording=whole.recording.restepped(0.5))
+        error = finer.errors([found.model.laws])[0]
+        if over_noise(whole, error - found.errors).max() < CLOSED_LOOP.stepped:
+            break
+        whole, found = finer, polished(finer, found.model, rounds=4)
+    return whole, found
 
 
 def _nothing_lacking(
