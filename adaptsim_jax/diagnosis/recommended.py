@@ -36,9 +36,9 @@ def joint_errors(
     files: Sequence[Path],
     spans: Mapping[str, float],
 ) -> dict[str, list[dict[str, Any]]]:
-    """By file what it leaves at each joint, the worst beside the declared file first: rows of joint,
-    over (of what), before (the declared file), after, nothing (what needs no model), unit, and
-    whether it is worse.
+    """By file what it leaves at each joint, the worst beside the declared file first: rows of
+    joint, over (of what), before (the declared file), after, nothing (what needs no model), unit,
+    and whether it is worse.
 
     Args:
         run: simulates a file (None: the declared one) over stretches of so many seconds.
