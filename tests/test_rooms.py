@@ -51,9 +51,6 @@ WITHIN = {
     ),
     "effects": (
         "base",
-        "elastic",
-        "disturbance",
-        "layout",
         "registry",
         "joints",
     ),
@@ -72,12 +69,7 @@ WITHIN = {
         "roles",
         "transmission",
         "mjcf",
-        "plant",
         "double_pendulum",
-        "registry",
-        "dry_friction",
-        "stepping",
-        "closed_loop",
     ),
     "logs": (
         "criteria",
