@@ -39,6 +39,9 @@ class ClosedLoopCriteria:
     # of a joint's error over whole trials by the file, that its own numbers must take off together
     better: float = 0.2
     rounds: int = 12  # of a fit
+    # times the noise, by which half as long a step moves a joint that it was short enough for
+    stepped: float = 0.3
+    halvings: int = 2  # of the step, at most: each doubles the time of a round
     settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
     shared: int = 4  # numbers that all joints share, at most
     own: int = 2  # numbers of one joint beside its law, at most
