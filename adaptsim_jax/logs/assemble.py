@@ -16,6 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role, roles_of
+from adaptsim_jax.logs.counters import counted
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
@@ -27,15 +28,17 @@ from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.speeds import Written
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.words import WORDS, word_of
+from adaptsim_jax.logs.words import WORDS, unanswered, word_of
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
     """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit
     the model.
     """
-    raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
-    raw, worded = _decoded([_without_missing(trial, meta) for trial in raw])
+    raw = [counted(trial) for trial in _selected(path, raw, meta)]
+    raw = [_without_ignored(trial, meta, model) for trial in raw]
+    raw = [_without_missing(_without_unanswered(trial), meta) for trial in raw]
+    raw, worded = _decoded(raw)
     raw = [read_once(trial) for trial in raw]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
@@ -271,6 +274,18 @@ def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
         f"{trial.lines[np.argmax(every)]}: what is missing is not used"
     )
     return replace(trial, columns=columns, lines=trial.lines[whole], notes=(*trial.notes, note))
+
+
+def _without_unanswered(trial: RawTrial) -> RawTrial:
+    """The trial with angles and speeds of registers that did not answer as NaN, and a note."""
+    lost = {}
+    for name, x in trial.columns.items():
+        if (found := role(name)) and found.stem in ("q", "v") and (rows := unanswered(x)).any():
+            lost[name] = np.where(rows, np.nan, x)
+    if not lost:
+        return trial
+    note = f"readings with all bits set, far from those beside them, are none ({', '.join(lost)})"
+    return replace(trial, columns={**trial.columns, **lost}, notes=(*trial.notes, note))
 
 
 def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:

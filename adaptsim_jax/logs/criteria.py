@@ -44,6 +44,7 @@ class ClockCriteria:
     contradicts: float = 3.0  # such steps that another sender's angles may be off
     leap: float = 0.2  # of an angle's range between two messages: no joint goes so far
     leaps: float = 0.02  # of the messages that do, and the next one back: no joint, nor a wrap
+    fewer: float = 0.34  # of the messages, that another sender has at most
 
 
 @dataclass(frozen=True)
@@ -169,6 +170,7 @@ class HoleCriteria:
     least: float = 1e-9  # of an angle's range: what rounding leaves
     leap: float = 1.4  # times the way of a row beside it, that a joint goes over a hole
     slow: float = 3.0  # usual misses a row, by which the speed over a hole may be off
+    counted: float = 0.5  # of the steps of a counter, that may leave numbers out
 
 
 @dataclass(frozen=True)
@@ -296,6 +298,7 @@ class WordCriteria:
 
     leap: float = 512.0  # that readings leap by: a joint goes so far between no two rows
     left: float = 0.25  # of the largest leap, that words taken otherwise may leave
+    far: float = 5.0  # usual steps, farther than which no reading lies from both beside it
 
 
 @dataclass(frozen=True)
