@@ -94,9 +94,10 @@ def check_order(
     names: Sequence[str],
     parents: Sequence[int],
     driven: Sequence[bool],
+    stems: Sequence[str],
 ) -> None:
-    """BadInput where a machine's columns, angles and targets together, are in another order than
-    its joints `names`, of which each hangs at that of `parents`.
+    """BadInput where a machine's columns of these `stems` together are in another order than its
+    joints `names`, of which each hangs at that of `parents`.
     """
     if len(names) < 2:
         return
@@ -104,10 +105,10 @@ def check_order(
     if found is None:
         return
     there = ", ".join(names[j] for j in np.argsort(found.order))
-    places = {s: ", ".join(f'"{s}[{k}]"' for k in found.order) for s in ("q", "target")}
+    places = {s: ", ".join(f'"{s}[{k}]"' for k in found.order) for s in stems}
     lines = " and ".join(f"{stem} = [{own}]" for stem, own in places.items())
     raise BadInput(
-        f"{path}: angles and targets look to be in the order {there} (which leaves "
+        f"{path}: {' and '.join(stems)} look to be in the order {there} (which leaves "
         f"{100 * found.other:.2g} % of the torque's square unexplained, the model's order "
         f"{100 * found.left:.2g} %); write {lines} under [columns] in meta.toml where they are "
         f"arrays, or exchange the names of columns; {AS_DECLARED}"
