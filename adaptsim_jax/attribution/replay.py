@@ -159,7 +159,7 @@ def replay(
         measures[WHOLE] = _over_whole_trials(machine, vector)
     if TORQUE in asked:
         measures[TORQUE] = of_torque(problem, balances(problem, machine.tracks), vector)
-    return dataclasses.replace(found, measures=measures, notes=_shorter(horizon, span))
+    return dataclasses.replace(found, measures=measures, notes=_shorter(horizon, span, max(spans)))
 
 
 ALIKE = 1.25  # times the shortest of some trials, which are judged over its length together
@@ -182,10 +182,12 @@ def _over_whole_trials(machine: Machine, vector: Vector) -> Measure:
     return Measure(WHOLE, float(np.median(spans)), error, line, still, one.joints, one.units)
 
 
-def _shorter(horizon: float, span: float) -> tuple[str, ...]:
+def _shorter(horizon: float, span: float, longest: float) -> tuple[str, ...]:
     """A note where stretches of `span` s are not as long as was asked for."""
     if horizon > span:
         return (f"no trial is {horizon:g} s long: stretches are of {span:.4g} s",)
+    if not horizon and longest > ALIKE * span:
+        return (f"trials are up to {longest:.4g} s long: all are cut to the shortest's {span:.4g}",)
     return ()
 
 

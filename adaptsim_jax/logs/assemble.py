@@ -37,7 +37,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
     """
     raw = [counted(trial) for trial in _selected(path, raw, meta)]
     raw = [_without_ignored(trial, meta, model) for trial in raw]
-    raw = [_without_missing(_without_unanswered(trial), meta) for trial in raw]
+    raw = [_without_missing(trial, meta) for trial in raw]
     raw, worded = _decoded(raw)
     raw = [read_once(trial) for trial in raw]
     names = model or _names_in(raw[0])
@@ -250,16 +250,17 @@ def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -
 
 
 def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
-    """The trial where a few rows lack numbers: what acts, acts on from the row before; rows
-    without a pose or a sensor are left out, and those before anything acts. Angles and speeds stay
-    NaN, but for a pendulum, whose rows are whole.
+    """The trial where a few rows lack numbers, or a register did not answer: what acts, acts on
+    from the row before; rows without a pose or a sensor are left out, and those before anything
+    acts. Angles and speeds are NaN, but for a pendulum, whose rows are whole.
     """
-    lacks = {name: np.isnan(x) for name, x in trial.columns.items()}
+    lacks = {name: np.isnan(x) | unanswered(x) for name, x in trial.columns.items()}
     some = {name: rows for name, rows in lacks.items() if 0 < rows.mean() <= TABLE.few}
     if not some:
         return trial
     columns, whole = dict(trial.columns), np.ones(len(trial.lines), bool)
     for name, rows in some.items():
+        columns[name] = np.where(rows, np.nan, columns[name])
         found = role(name)
         if meta.rig is not None or (found and found.stem in ("time", "base", "channel")):
             whole &= ~rows
@@ -274,18 +275,6 @@ def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
         f"{trial.lines[np.argmax(every)]}: what is missing is not used"
     )
     return replace(trial, columns=columns, lines=trial.lines[whole], notes=(*trial.notes, note))
-
-
-def _without_unanswered(trial: RawTrial) -> RawTrial:
-    """The trial with angles and speeds of registers that did not answer as NaN, and a note."""
-    lost = {}
-    for name, x in trial.columns.items():
-        if (found := role(name)) and found.stem in ("q", "v") and (rows := unanswered(x)).any():
-            lost[name] = np.where(rows, np.nan, x)
-    if not lost:
-        return trial
-    note = f"readings with all bits set, far from those beside them, are none ({', '.join(lost)})"
-    return replace(trial, columns={**trial.columns, **lost}, notes=(*trial.notes, note))
 
 
 def _decoded(raw: Sequence[RawTrial]) -> tuple[list[RawTrial], tuple[str, ...]]:
