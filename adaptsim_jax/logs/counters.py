@@ -32,4 +32,4 @@ def counted(trial: RawTrial) -> RawTrial:
             )
             columns[clock] = columns[clock] + usual * rows
             return replace(trial, columns=columns, notes=(*trial.notes, note))
-    return trial
+    return replace(trial, columns=columns)
