@@ -317,10 +317,10 @@ def _state_topics(
     if len(measured) > 1:
         measured = sorted(measured, key=lambda t: (len(knows(t)), t.count), reverse=True)
     taken = _of_other_joints(measured, knows)
-    reported = f"state taken from topic {_listed(taken)} of {_listed(states)}"
-    if left := [topic for topic in states if topic not in taken]:
+    reported = f"state taken from topic {_listed(taken)} of {_listed(measured)}"
+    if left := [topic for topic in measured if topic not in taken]:
         reported += f", left out: {_listed(left)}; state_topic names others, or a list of them"
-    return taken, (reported,) if len(states) > 1 else ()
+    return taken, (reported,) if len(measured) > 1 else ()
 
 
 def _what(topic: Topic) -> str:
