@@ -121,11 +121,10 @@ def _check_order(
 
 def _check_sides(machine: Machine, tracks: list[Track], declared: Design) -> None:
     """BadInput where torques of some joints are those of another side of their gears."""
-    found = other_sides(tracks, declared)
-    if found is None:
-        return
     names, path = machine.tree.joint_names, machine.log.path
-    told = {names[j]: size for j, size in enumerate(found) if size != 1.0}
+    told = {names[j]: size for j, size in other_sides(tracks, declared).items()}
+    if not told:
+        return
     times = " and ".join(f"{size:.3g} times those of {name}" for name, size in told.items())
     lines = " and ".join(f"tau_{name} = {1.0 / size:.3g}" for name, size in told.items())
     raise BadInput(

@@ -170,7 +170,6 @@ class HoleCriteria:
     least: float = 1e-9  # of an angle's range: what rounding leaves
     leap: float = 1.4  # times the way of a row beside it, that a joint goes over a hole
     slow: float = 3.0  # usual misses a row, by which the speed over a hole may be off
-    counted: float = 0.5  # of the steps of a counter, that may leave numbers out
 
 
 @dataclass(frozen=True)

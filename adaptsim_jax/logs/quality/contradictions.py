@@ -126,29 +126,26 @@ def contradiction(
     return None
 
 
-def other_sides(tracks: Sequence[Track], design: Design) -> tuple[float, ...] | None:
-    """How many times the torque that moves a joint of the declared masses its logged torque is,
-    1 for each joint where that is about right; None where that does not explain the motion far
-    better than it is.
+def other_sides(tracks: Sequence[Track], design: Design) -> dict[int, float]:
+    """Joints whose logged torque is another number of times the one that moves the declared
+    masses; none where that does not explain the motion far better than it is.
     """
     motion = motion_of(tracks)
     if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
-        return None
+        return {}
     left = unexplained(motion, design)
-    n = motion.q.shape[1]
-    if left < CONTRADICTION.doubted:
-        return None
     columns, rubs = design(motion, True), rubbing(motion)
-    sizes, lefts = [], []
-    for j in range(n):
-        own = [columns[:, j, :n].sum(1), motion.a[:, j], *rubs[:, j, 4 * j : 4 * j + 3].T]
-        x = np.linalg.lstsq(np.stack(own, 1), motion.tau[:, j], rcond=1e-9)[0]
-        lefts.append(np.var(motion.tau[:, j] - np.stack(own, 1) @ x) / np.var(motion.tau[:, j]))
-        near = x[0] > 0 and abs(np.log(x[0])) < np.log(CONTRADICTION.same_size)
-        sizes.append(1.0 if near else float(x[0]))
-    if max(lefts) * CONTRADICTION.times > left or max(lefts) > CONTRADICTION.explains:
-        return None
-    return tuple(sizes) if set(sizes) != {1.0} else None
+    most = min(CONTRADICTION.explains, left / CONTRADICTION.times)
+    sizes, n = {}, motion.q.shape[1]
+    for j in range(n if left > CONTRADICTION.doubted else 0):
+        tau, own = motion.tau[:, j], rubs[:, j, 4 * j : 4 * j + 3]
+        own = np.column_stack([columns[:, j, :n].sum(1), motion.a[:, j], own])
+        x = np.linalg.lstsq(own, tau, rcond=1e-9)[0]
+        if np.var(tau - own @ x) > most * np.var(tau):
+            return {}
+        if x[0] < 0 or abs(np.log(x[0])) > np.log(CONTRADICTION.same_size):
+            sizes[j] = float(x[0])
+    return sizes
 
 
 def _simplest(
