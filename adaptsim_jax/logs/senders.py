@@ -54,7 +54,7 @@ def one_commander(topic: str, rows: list[Message]) -> tuple[list[Message], tuple
     if len(shapes) != 1 or len(rows) < CLOCK.min_stamps:
         return rows, ()
     time = np.array([row[0] for row in rows])
-    u = np.array([np.concatenate([*row[2].values()]) for row in rows])
+    u = np.nan_to_num([np.concatenate([*row[2].values()]) for row in rows])
     other = np.zeros(len(rows), bool)
     other[1:-1] = np.any(_back(u, CLOCK.leap * np.ptp(u, axis=0)), axis=1)
     if not CLOCK.leaps < np.mean(other) < CLOCK.fewer or np.ptp(u) < SIGNAL.moving:

@@ -398,3 +398,21 @@ def test_a_start_that_is_no_number_now_and_then_is_counted():
     state = trainer.begin(jax.random.key(1), trainer.init(jax.random.key(0)))
     _, info = trainer.train(jax.random.key(2), state, everywhere(setting), 2)
     assert (np.asarray(info.lost)[:, 1] > 0.1).all()  # course.py tells it
+
+
+@pytest.mark.parametrize("how", ["steps", "bursts", "lost"])
+def test_commands_of_one_sender_are_all_taken(tmp_path, how):
+    """Commands that step to and fro, come in bursts, or lack a number are no second sender's."""
+    rng, bag = np.random.default_rng(3), Bag("ros2")
+    told = {"steps": np.where(np.arange(200) % 2, 0.5, -0.5), "bursts": M["q"][:, 0] + 0.1}
+    u = np.stack([told.get(how, told["bursts"])] * 2, 1)
+    for k, t in enumerate(M["time"]):
+        bag.joints("/joint_states", ns(t), ARM, M["q"][k])
+        late = rng.uniform(0.0, 0.015) if how == "bursts" else 0.0
+        bag.array(
+            "/arm/commands",
+            ns(t + late),
+            [np.nan, u[k, 1]] if how == "lost" and k % 10 == 5 else u[k],
+        )
+    log_of = read_log(bag.write(tmp_path), ARM)
+    assert not any("another sender" in note for note in log_of.notes)
