@@ -117,7 +117,6 @@ OF = {
         "Any mechanism",
         "At each joint, at all joints, or one value shared; `tilt` is of the base.",
     ),
-    "pendulum": ("Double pendulum", 'Of recordings with `task = "pendulum"`.'),
     "pushing": ("Pushes", "Measured pushes."),
     "scooping": ("Scoops", "Measured scoops."),
     "toss": (

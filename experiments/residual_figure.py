@@ -25,7 +25,7 @@ WINDOW = 41  # rows of 1 ms
 BINS = 40
 
 
-def torque_left(path: Path, model: dict) -> tuple[np.ndarray, np.ndarray]:
+def torque_left(path: Path, report: dict, model: dict) -> tuple[np.ndarray, np.ndarray]:
     """`v2 [T]` rad/s and the unexplained torque `[T]` N m of joint 2 in one trial."""
     rows = np.genfromtxt(path, delimiter=",", names=True)
     dt = float(np.median(np.diff(rows["time"])))
@@ -33,10 +33,8 @@ def torque_left(path: Path, model: dict) -> tuple[np.ndarray, np.ndarray]:
     (v1, v2), (a1, a2) = (
         [savgol_filter(x, WINDOW, 3, deriv=d, delta=dt) for x in q] for d in (1, 2)
     )
-    value = {k: p["value"] for k, p in model["declared"].items()}
-    rotor = next(
-        e for e in model["effects"] if e["name"] == "rotor_inertia" and e["where"] == "joint2"
-    )
+    value = {k: p["value"] for k, p in report["declared"]["after"].items()}
+    rotor = next(e for e in model["effects"] if e["name"] == "armature" and e["where"] == "joint2")
     l1, g = model["geometry"]["l1"], model["geometry"]["g"]
     m12 = value["p3"] + l1 * value["h2"] * np.cos(q[1])
     body = (
@@ -124,9 +122,8 @@ def main() -> None:
     a = parser.parse_args()
     model = tomllib.loads((a.diagnosis / "model.toml").read_text())
     report = json.loads((a.diagnosis / "report.json").read_text())
-    draw(
-        report, model, [torque_left(path, model) for path in sorted(a.data.glob("*.csv"))], a.figure
-    )
+    parts = [torque_left(path, report, model) for path in sorted(a.data.glob("*.csv"))]
+    draw(report, model, parts, a.figure)
     print(f"written: {a.figure}")
 
 

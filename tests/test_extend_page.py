@@ -82,7 +82,7 @@ def test_the_page_runs(installed):
         line for line in lines if not line.startswith("Failed to import")
     ]  # MJX says so of what is not installed
     first, second, third, fourth, fifth = mine
-    assert first == "magnet pendulum/inclined" and second.startswith("rewards of puck 0.")
+    assert first == "magnet" and second.startswith("rewards of puck 0.")
     assert float(third.split()[-1]) < 1e-5  # the same motion, a row later, in single precision
     assert re.fullmatch(r"random search earns -?\d+\.\d+ of 1", fourth)
     assert re.search(r"earns 0\.\d+, and the best (0\.99|1\.00)$", fifth)
@@ -90,7 +90,7 @@ def test_the_page_runs(installed):
 
 @pytest.mark.slow
 def test_what_is_installed_keeps_the_protocols(installed):
-    names = "puck or inclined or magnet or late or test_baselines"
+    names = "puck or magnet or late or test_baselines"
     shown = output(
         installed,
         "-m",
@@ -102,4 +102,4 @@ def test_what_is_installed_keeps_the_protocols(installed):
         names,
     )
     passed = re.search(r"(\d+) passed", shown)
-    assert passed and int(passed[1]) >= 9 and "failed" not in shown
+    assert passed and int(passed[1]) >= 8 and "failed" not in shown

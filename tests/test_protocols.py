@@ -13,9 +13,7 @@ import inspect
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -26,13 +24,11 @@ import adaptsim_jax
 import adaptsim_jax.diagnosis
 from adaptsim_jax.baselines.arena import Visits
 from adaptsim_jax.baselines.registry import EXACT, LEARNED, PROBLEMS, STEPS
-from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Relaxation, of_the_engine
+from adaptsim_jax.effects.base import PLACES, UNITS, Dry, Motion, of_the_engine
 from adaptsim_jax.effects.joints.catalogue import MACHINE
-from adaptsim_jax.effects.registry import EFFECTS
 from adaptsim_jax.learners.bdq import BDQConfig, BDQHyper, make_bdq
 from adaptsim_jax.learners.naf import NAFConfig, NAFHyper, make_naf
 from adaptsim_jax.learners.replay import Transition
-from adaptsim_jax.mechanisms.registry import MECHANISMS
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.engine import EngineKind
 from adaptsim_jax.tasks.registry import TASKS
@@ -166,45 +162,7 @@ def test_task(name, real):
         assert reward.shape == (BATCH,) and jnp.issubdtype(reward.dtype, jnp.floating)
 
 
-@pytest.mark.parametrize("name", MECHANISMS)
-def test_mechanism(name, real):
-    explained(MECHANISMS[name], shapes=True)
-    assert list(inspect.signature(MECHANISMS[name]).parameters) == [
-        "angle_zero",
-        "geometry",
-        "known",
-    ]
-    plant = MECHANISMS[name]("hanging", {"l1": 0.3, "l2": 0.2, "g": 9.81}, {})
-    n, p = plant.joint_dim, len(plant.theta_names)
-    assert len(plant.theta_units) == p == len(plant.low) == len(plant.high) and np.all(
-        plant.low <= plant.high
-    )
-
-    def of(*shape):
-        return jax.ShapeDtypeStruct((BATCH, *shape), real)
-
-    rates = batched(plant.deriv, of(p), of(2 * n), of(plant.command_dim), of(n), of(n))
-    assert rates.shape == (BATCH, 2 * n) and floats(rates) == {jnp.dtype(real)}
-    assert batched(plant.mass_matrix, of(p), of(n)).shape == (BATCH, n, n)
-    assert batched(plant.gravity_force, of(p), of(n)).shape == (BATCH, n)
-
-
-class Moving(NamedTuple):
-    """A `Motion` with the pull of a position controller [N m] besides, which machines with one
-    have.
-    """
-
-    q: jax.Array
-    v: jax.Array
-    u: jax.Array
-    t: jax.Array
-    memory: jax.Array
-    gravity: Callable
-    clock: jax.Array
-    pull: jax.Array
-
-
-EVERY_EFFECT = [*EFFECTS.items(), *((f"machine.{e.name}", e) for e in MACHINE)]
+EVERY_EFFECT = [(f"machine.{e.name}", e) for e in MACHINE]
 
 
 @pytest.mark.parametrize("effect", [e for _, e in EVERY_EFFECT], ids=[n for n, _ in EVERY_EFFECT])
@@ -217,7 +175,7 @@ def test_effect(effect, real):
         return jax.ShapeDtypeStruct((BATCH, *shape), real)
 
     p = {x.name: of(1, 1) for x in effect.parameters}
-    motion = {x: of(joints, rows) for x in ("q", "v", "u", "memory")} | {"t": of(1, rows)}
+    motion = {x: of(joints, rows) for x in ("q", "v", "u", "pull", "target")} | {"t": of(1, rows)}
     if effect.place == "model":  # has no function: its parameters are the engine's own
         assert effect.apply is of_the_engine and effect.parameters
     elif effect.inertia or effect.place == "drive":
@@ -225,13 +183,10 @@ def test_effect(effect, real):
     elif effect.place == "force":
 
         def there(m):
-            return Moving(**m, gravity=lambda q: -q, clock=m["t"], pull=m["u"])
+            return Motion(**m, gravity=lambda q: -q)
 
         answer = batched(lambda p, m: effect.apply(p, there(m)), p, motion)
-        assert isinstance(answer, Relaxation) == effect.memory
-        force = (
-            answer.level if isinstance(answer, Dry) else answer.force if effect.memory else answer
-        )
+        force = answer.level if isinstance(answer, Dry) else answer
         assert force.shape == (BATCH, joints, rows) and floats(force) == {jnp.dtype(real)}
     elif effect.place == "command":
         out = batched(effect.apply, p, of(rows, joints), of(rows, joints))

@@ -2,7 +2,6 @@
 of a model. Stretches lie last.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any, NamedTuple
@@ -12,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import FRICTION
-from adaptsim_jax.effects.base import Drive, Dry, Effect
+from adaptsim_jax.effects.base import Drive, Dry, Effect, Motion
 from adaptsim_jax.effects.joints.drives import DRIVE_COMPLIANCE, DRIVE_PLAY
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
@@ -42,23 +41,6 @@ class Values(NamedTuple):
     ties: Any = None
     read: Any = None
     ease: Any = 1.0
-
-
-class JointMotion(NamedTuple):
-    """What a force effect sees, `[n, ...]` each: q, v, the actuator's force u (N m), time [1, ...]
-    s, `pull`: the part of u that follows the command and the angle, `target`: the command,
-    `gravity(q)`: force of gravity.
-    """
-
-    q: Any
-    v: Any
-    u: Any
-    t: Any
-    memory: Any
-    gravity: Callable
-    clock: Any
-    pull: Any
-    target: Any
 
 
 @dataclass(frozen=True)
@@ -165,7 +147,7 @@ def forces(model: ActingModel, values: Values, q, v, u, t, observed=None) -> For
     def gravity(q):
         return equations.gravity_force(model.tree, values.inertial, q, values.gravity)
 
-    motion = JointMotion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u + jnp.zeros_like(q))
+    motion = Motion(q, v, tau, t, gravity, pull, u + jnp.zeros_like(q))
     nothing = jnp.zeros(jnp.broadcast_shapes(tau.shape, jnp.shape(values.inertial[:, 0])), q.dtype)
     smooth, level, inertia, yielding = tau + nothing, nothing, nothing, nothing
     held_up = compensation(model.tree, q)
@@ -223,7 +205,7 @@ def rubs_dry(effect: Effect) -> tuple[bool, bool]:
     number, answers = jax.ShapeDtypeStruct((1, 1), np.float32), []
 
     def ask(p, z):
-        answers.append(effect.apply(p, JointMotion(z, z, z, z, z, lambda q: q, z, z, z)))
+        answers.append(effect.apply(p, Motion(z, z, z, z, lambda q: q, z, z)))
         return z
 
     jax.eval_shape(ask, {p.name: number for p in effect.parameters}, number)

@@ -16,7 +16,6 @@ import numpy as np
 
 from adaptsim_jax.attribution.acting import (
     OF_CONTROLLERS,
-    JointMotion,
     actuated,
     carried,
     compliant,
@@ -28,7 +27,7 @@ from adaptsim_jax.attribution.drive import MIN_INERTIA, Local, logged_alone, spr
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
-from adaptsim_jax.effects.base import Drive, Dry, Effect
+from adaptsim_jax.effects.base import Drive, Dry, Effect, Motion
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.mechanisms import equations
@@ -124,9 +123,7 @@ def _force(group_tree, values, path: Path, time, rub, point: ChangePoint, way: W
             group_tree, values.inertial[:, :, None], q, values.gravity[:, None]
         )
 
-    motion = JointMotion(
-        q, v, tau, 0.5 * (time[1:] + time[:-1])[None], 0.0 * q, gravity, None, pull, u
-    )
+    motion = Motion(q, v, tau, 0.5 * (time[1:] + time[:-1])[None], gravity, pull, u)
     turned = jnp.where(jnp.abs(rub[0]) > 0, rub[1], _mean_sign(path.x, n))
 
     def act(value):

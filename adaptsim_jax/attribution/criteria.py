@@ -29,8 +29,6 @@ class StretchCriteria:
     min_rows: int = 8  # rows of a stretch: fewer show no motion
     # s, from a stretch's start: what a late sensor shows there is not compared
     look_back: float = 0.012
-    # rows of a part of a trial between rows without angles, that is regressed by itself
-    min_part_rows: int = 64
     max_count: int = 192  # stretches of a fit: more cost time and tell little more
     outlying: float = 3.0  # times the median error of a stretch, from which on it counts less
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.choice import base_moves
@@ -25,23 +26,34 @@ def load(data: str | Path, model: str | Path | None = None) -> Machine:
     """
     if not Path(data).exists():
         raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
-    if declared_task(data) != "pendulum":
-        if model is None or Path(model).suffix.lower() != ".toml":
-            return _joined(data, model)
-        given = read_model_table(model)
-        model_name = given.get("model")
-        if given.get("task") == "simulator":
-            raise BadInput(
-                f"{model}: holds numbers of a simulator, which it does not bring; give the "
-                "model.xml beside it"
-            )
-        if given.get("task") != "mechanism" or not isinstance(model_name, str):
-            raise BadInput(
-                f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or "
-                "an MJCF or URDF file"
-            )
-        made = _joined(data, Path(model).parent / model_name)
-        return model_toml.applied(given, str(model), made)
+    join = _of_pendulum if declared_task(data) == "pendulum" else _joined
+    if model is None or Path(model).suffix.lower() != ".toml":
+        return join(data, model)
+    given, declared = read_mended(model)
+    return model_toml.applied(given, str(model), join(data, declared))
+
+
+def read_mended(model: str | Path) -> tuple[dict[str, Any], Path]:
+    """The table of a `model.toml` of a mechanism, and the declared model beside it. Raises
+    BadInput.
+    """
+    given = read_model_table(model)
+    declared = given.get("model")
+    if given.get("task") == "simulator":
+        raise BadInput(
+            f"{model}: holds numbers of a simulator, which it does not bring; give the "
+            "model.xml beside it"
+        )
+    if given.get("task") != "mechanism" or not isinstance(declared, str):
+        raise BadInput(
+            f"{model}: is no model of a mechanism; give the model.toml that diagnose wrote, or "
+            "an MJCF or URDF file"
+        )
+    return given, Path(model).parent / declared
+
+
+def _of_pendulum(data: str | Path, model: str | Path | None) -> Machine:
+    """The recording of a rig with a model file of it."""
     if model is None:
         raise BadInput(
             f"{data}: a double pendulum's masses are not declared; give a model.xml or model.toml "

@@ -9,12 +9,14 @@ effect that is named.
     lift = 0.7                     # share of gravity that controllers feed forward
     [servo.elbow]                  # of a joint's servo: kp, kv, limit and offset of its target
     kp = 1400.0                    # (N m/rad, N m s/rad, N m, rad), damping before the limit
+    linear = true                  # equations linearised about angles of zero
+    angle_zero = "hanging"         # of a double pendulum, with its [geometry]
 
 The rest is as every `model.toml` has it (`mend/model_toml.py`); an effect's `where` is a joint, or
 "base". `model.xml` says the same as far as MJCF can.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +29,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, va
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
 from adaptsim_jax.mechanisms.tree import compensated
 from adaptsim_jax.mend.model_toml import (
@@ -41,7 +44,7 @@ from adaptsim_jax.mend.model_toml import (
 
 DECLARED = "declared.xml"
 GIVES = "gives"
-OWN = ("friction", "inertial", "gain", "servo", "lift")
+OWN = ("friction", "inertial", "gain", "servo", "lift", "linear", "angle_zero", "geometry")
 
 
 def text_of(
@@ -49,11 +52,14 @@ def text_of(
     model: FittedTree,
     summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
+    more: Mapping[str, Any] | None = None,
 ) -> str:
     """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint,
-    where that had to be found.
+    where that had to be found; more: keys of the rig's own.
     """
-    own: dict[str, Any] = {}
+    own: dict[str, Any] = dict(more or {})
+    if any(g.model.tree.linear for g in problem.groups):
+        own["linear"] = True
     if any(np.any(g.model.tree.rub) for g in problem.groups):
         own["friction"] = GIVES
     own["inertial"] = {}
@@ -82,13 +88,15 @@ def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]
     return tuple(AddedEffect(name, place, values) for (name, place), values in by.items())
 
 
-def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
-    """The machine of the declared model with what the table of the file at `path` says. Raises
-    BadInput that names the key.
+def applied(
+    given: Mapping[str, Any], path: str, machine: Machine, effects: Sequence[Effect] = MACHINE
+) -> Machine:
+    """The machine of the declared model with what the table of the file at `path` says, of which
+    the effects are some of `effects`. Raises BadInput that names the key.
     """
     form = read_form(given, path, OWN)
     tree = machine.tree
-    joints, known = tree.joint_names, {e.name: e for e in MACHINE}
+    joints, known = tree.joint_names, {e.name: e for e in effects}
     inertial = np.array(tree.inertial, float)
     for name, row in table_at(path, form.own, "inertial").items():
         if name not in joints or np.shape(row) != (10,):
@@ -131,7 +139,8 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
             out[name, p.name] = column
     if "lift" in form.own:
         tree = compensated(tree, number_at(path, "lift", form.own["lift"]))
-    tree = replace(with_inertial(tree, inertial), gravity=gravity)
+    linear = bool(form.own.get("linear", tree.linear))
+    tree = replace(with_inertial(tree, inertial), gravity=gravity, linear=linear)
     mechanism = replace(machine.mechanism, tree=tree)
     gives = form.own.get("friction") == GIVES
     return replace(machine, mechanism=mechanism, declared=out, actuator=law, gives=gives)

@@ -1,111 +1,79 @@
-"""The double pendulum of `task = "pendulum"` as one mechanism among others, and its
-`model.toml`.
+"""The double pendulum of `task = "pendulum"` as one mechanism among others: its declared model by
+what its `meta.toml` says, and its parameters as that task names them.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 
 from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine, machine
-from adaptsim_jax.attribution.model_toml import DECLARED
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
+from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes
 from adaptsim_jax.diagnosis.testing import deviates, jackknife
-from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.effects.joints.actuator import PENDULUM_ROTOR_INERTIA
-from adaptsim_jax.effects.joints.catalogue import OWN
-from adaptsim_jax.effects.joints.forces import ARMATURE
-from adaptsim_jax.effects.joints.friction import COULOMB, PRESLIDING, STRIBECK, VISCOUS
-from adaptsim_jax.effects.registry import catalogue
+from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.mechanisms.double_pendulum.plant import JOINTS, double_pendulum_mjcf
 from adaptsim_jax.mechanisms.mjcf import read_mechanism
-from adaptsim_jax.mend.model_toml import AddedEffect, Value
-from adaptsim_jax.mend.pendulum_model import ModelFile, read_model
+from adaptsim_jax.mend.model_toml import Value, read_model_table
 
-
-def _common() -> frozenset[str]:
-    """Effects that both catalogues know by the same name and amplitudes."""
-    of_joints = {e.name: {p.name for p in e.amplitudes} for e in OWN}
-    return frozenset(
-        e.name
-        for e in catalogue("pendulum")
-        if {p.name for p in e.amplitudes} == of_joints.get(e.name)
-    )
-
-
-SAME = _common()
 LINK = ("size", "stretch_y", "shift_y")
-Fitted = Mapping[tuple[str, str, int], tuple[float, float, str]]
-"""Value, standard deviation and unit of each fitted number by owner, name and joint."""
 RIGID, LINEAR = "rigid_body", "linearized"
+DAMPINGS = {"b1": ("N m s/rad", 0.0), "b2": ("N m s/rad", 0.0)}
+PARAMETERS = {
+    RIGID: {
+        "p1": ("kg m^2", 1e-6),
+        "p3": ("kg m^2", 1e-6),
+        "h1": ("kg m", -1e2),
+        "h2": ("kg m", -1e2),
+        **DAMPINGS,
+    },
+    LINEAR: {"m1": ("kg", 1e-3), "m2": ("kg", 1e-3), **DAMPINGS},
+}
+"""Unit and lower bound of each declared parameter, by the kind of model."""
+MOST = 1e3
+"""Upper bound of all of them, in their units."""
 
 
-def pendulum_machine(log: Log, model: str | Path, effects: Sequence[Effect] = ()) -> Machine:
-    """A log of the double pendulum with a model: an MJCF or URDF file, or a `model.toml`, which may
-    hold `effects` besides ours.
-
-    Raises BadInput where the model is not of two joints, or has an effect that mechanisms do not
-    know.
+def pendulum_machine(log: Log, model: str | Path) -> Machine:
+    """A log of the double pendulum with an MJCF or URDF file. Raises BadInput where that is not of
+    two joints.
     """
-    if Path(model).suffix.lower() != ".toml":
-        mechanism = read_mechanism(model)
-        names = mechanism.tree.joint_names
-        if len(names) != 2:
-            raise BadInput(
-                f"{model}: has {len(names)} joints, but {log.path} is of a double pendulum; give "
-                "one of 2"
-            )
-        theirs: dict[str, str] = dict(zip(JOINTS, names, strict=True))
-        inputs = tuple(theirs[n] for n in log.input_names)
-        driven = tuple(theirs[n] for n in log.driven)
-        return machine(
-            mechanism, replace(log, joint_names=names, input_names=inputs, driven=driven)
+    mechanism = read_mechanism(model)
+    names = mechanism.tree.joint_names
+    if len(names) != 2:
+        raise BadInput(
+            f"{model}: has {len(names)} joints, but {log.path} is of a double pendulum; give "
+            "one of 2"
         )
-    given = read_model(model, own_catalogue("pendulum", effects))
-    with TemporaryDirectory() as folder:
-        made = declared_machine(log, given.theta(given.plant()), Path(folder) / DECLARED)
-    return replace(made, declared=made.declared | _declared_effects(given))
+    theirs: dict[str, str] = dict(zip(JOINTS, names, strict=True))
+    inputs = tuple(theirs[n] for n in log.input_names)
+    driven = tuple(theirs[n] for n in log.driven)
+    return machine(mechanism, replace(log, joint_names=names, input_names=inputs, driven=driven))
 
 
-def declared_model(rig: Rig, effects: Sequence[Effect] | None = None) -> ModelFile | None:
-    """The mended model that a rig's `meta.toml` names, or None.
+def own_keys(rig: Rig) -> dict[str, object]:
+    """What a rig's `model.toml` says beside what any mechanism's does."""
+    geometry = {k: float(v) for k, v in rig.geometry.items()}
+    return {"angle_zero": rig.angle_zero, "geometry": geometry}
 
-    Raises BadInput where the file is bad or is of another rig than the recording says.
-    """
-    if rig.model_file is None:
-        return None
-    given = read_model(rig.model_file, effects)
-    for key in ("task", "model", "angle_zero"):
-        there, here = getattr(given, key), getattr(rig, key)
-        if there != here:
+
+def check_rig(rig: Rig) -> None:
+    """BadInput where the mended model that a rig's `meta.toml` names is of another rig."""
+    assert rig.model_file is not None  # of a rig that names one
+    given, here = read_model_table(rig.model_file), {"angle_zero": rig.angle_zero, **rig.geometry}
+    there = {"angle_zero": given.get("angle_zero", rig.angle_zero), **given.get("geometry", {})}
+    for key, value in there.items():
+        if value != here.get(key, value):
             raise BadInput(
-                f"{given.path}: {key} = {there!r}, but meta.toml of the recording says {here!r}; "
-                "mend one"
+                f"{rig.model_file}: {key} = {value!r}, but meta.toml of the recording says "
+                f"{here[key]!r}; a mended model is of one rig: mend one of them"
             )
-    for key in set(given.geometry) & set(rig.geometry):
-        if abs(given.geometry[key] - rig.geometry[key]) > 1e-9 * abs(given.geometry[key]):
-            raise BadInput(
-                f"{given.path}: geometry.{key} = {given.geometry[key]:g}, but the recording has "
-                f"{rig.geometry[key]:g}; a mended model is of one rig: mend one of them"
-            )
-    return given
-
-
-def own_catalogue(task: str, effects: Sequence[Effect]) -> tuple[Effect, ...]:
-    """What a `model.toml` may hold: the task's effects, and those of `effects` that have other
-    names.
-    """
-    known = catalogue(task)
-    names = {e.name for e in (*known, *OWN)}
-    return (*known, *(e for e in effects if e.name not in names))
 
 
 def rig_of(log: Log) -> Rig:
@@ -133,39 +101,6 @@ def _of_point_masses(theta: np.ndarray) -> np.ndarray:
     """
     m1, m2, b1, b2 = (float(z) for z in theta)
     return np.array([m1 + 2.0 * m2, m2, m1 + m2, m2, b1, b2])
-
-
-def _declared_effects(given: ModelFile) -> dict[tuple[str, str], np.ndarray]:
-    out: dict[tuple[str, str], np.ndarray] = {}
-
-    def put(effect: str, parameter: str, where: str, value: float) -> None:
-        if where not in JOINTS:
-            raise BadInput(
-                f"{given.path}: {effect} at {where} has no counterpart in a mechanism; take it out "
-                "to replay the rest"
-            )
-        out.setdefault((effect, parameter), np.zeros(2))[JOINTS.index(where)] = value
-
-    for e in given.effects:
-        numbers = {k: v.value for k, v in e.parameters.items()}
-        if e.name == PENDULUM_ROTOR_INERTIA.name:
-            put(ARMATURE.name, "inertia", e.where, numbers["inertia"])
-        elif e.name == STRIBECK.name:
-            put(COULOMB.name, "level", e.where, numbers["level"])
-            for k in ("excess", "speed"):
-                put(STRIBECK.name, k, e.where, numbers[k])
-        elif e.name == PRESLIDING.name:
-            put(COULOMB.name, "level", e.where, numbers["level"])
-            put(e.name, "compliance", e.where, numbers["deflection"] / max(numbers["level"], 1e-9))
-        elif e.name in SAME or e.name not in {x.name for x in catalogue(given.task)}:
-            for k, value in numbers.items():
-                put(e.name, k, e.where, value)
-        else:
-            raise BadInput(
-                f"{given.path}: {e.name} is no effect of a mechanism; take it out to replay the "
-                "rest"
-            )
-    return out
 
 
 def in_the_plane(vector: Vector) -> Vector:
@@ -213,96 +148,29 @@ def declared_values(rig: Rig, problem: TreeProblem, model: FittedTree) -> dict[s
     def base(z):
         return base_parameters(values_of(problem, group, vector.at(z)).inertial[..., 0], l1, down)
 
-    names, units, of = ("p1", "p3", "h1", "h2"), ("kg m^2", "kg m^2", "kg m", "kg m"), lambda z: z
-    if rig.model == LINEAR:  # gravity has the least to do with how bodies are shaped
-        names, units, of = ("m1", "m2"), ("kg", "kg"), lambda z: np.array([z[2] - z[3], z[3]])
+    of = _masses if rig.model == LINEAR else np.asarray
     own, folds = of(base(vector.values)), np.array([of(base(z)) for z in model.held.vectors])
     wide = deviates(len(folds)) * jackknife(folds)
-    out = {k: _number(*z) for k, z in zip(names, zip(own, wide, units, strict=True), strict=True)}
-    by = _fitted(model)
-    for k in range(2):
-        held = (float(rig.known.get(f"b{k + 1}", 0.0)), 0.0, "N m s/rad")
-        out[f"b{k + 1}"] = _number(*by.get((VISCOUS.name, "damping", k), held))
-    return out
+    rows = [*zip(own, wide, strict=True), *(_damping(rig, model, k) for k in range(2))]
+    return {
+        name: _number(*row, unit)
+        for (name, (unit, _)), row in zip(PARAMETERS[rig.model].items(), rows, strict=True)
+    }
+
+
+def _masses(base: np.ndarray) -> np.ndarray:
+    """m1, m2 of base parameters [4]: gravity has the least to do with how bodies are shaped."""
+    return np.array([base[2] - base[3], base[3]])
+
+
+def _damping(rig: Rig, model: FittedTree, joint: int) -> tuple[float, float]:
+    """Viscous damping at a joint and half of its 90 % interval, as known where it is not fitted."""
+    rows = zip(model.fit.vector.pairs(), model.half_width, strict=True)
+    for (entry, value), half in rows:
+        if entry.owner == VISCOUS.name and joint in entry.joints:
+            return value, half
+    return rig.known.get(f"b{joint + 1}", 0.0), 0.0
 
 
 def _number(value: float, half: float, unit: str) -> Value:
     return Value(float(value), float(value - half), float(value + half), unit)
-
-
-def _fitted(model: FittedTree) -> Fitted:
-    """Value, half of its 90 % interval and unit of each fitted number by owner, name and joint."""
-    rows = zip(model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True)
-    return {
-        (e.owner, e.name, j): (float(v), float(s), e.unit) for e, v, s in rows for j in e.joints
-    }
-
-
-def _in_the_file(name: str, k: int, by: Fitted) -> tuple[str, str, dict[str, Value]]:
-    """Name, place and numbers that an effect at a joint has in `model.toml`."""
-    mine = {p: _number(*v) for (owner, p, j), v in by.items() if owner == name and j == k}
-    where = JOINTS[k]
-    if name == ARMATURE.name:
-        return PENDULUM_ROTOR_INERTIA.name, where, mine
-    if name == STRIBECK.name:
-        level = _number(*by.get((COULOMB.name, "level", k), (0.0, 0.0, "N m")))
-        return name, where, mine | {"level": level}
-    if name == TILT:
-        return name, "base", {"angle": mine["about_y"]}
-    if name == PRESLIDING.name and (COULOMB.name, "level", k) in by:  # of all dry friction there
-        level, compliance = by[COULOMB.name, "level", k], mine["compliance"]
-        bent = {x: level[0] * getattr(compliance, x) for x in ("value", "low", "high")}
-        return name, where, {"level": _number(*level), "deflection": Value(**bent, unit="rad")}
-    return name, where, mine
-
-
-def _in_another(name: str, k: int, by: Fitted) -> bool:
-    """Whether the numbers of an effect at a joint stand in the file with another effect's."""
-    if name == TILT:
-        return k > 0
-    friction = {(STRIBECK.name, "excess", k), (PRESLIDING.name, "compliance", k)}
-    return name == COULOMB.name and not friction.isdisjoint(by)
-
-
-def model_file(
-    rig: Rig, problem: TreeProblem, model: FittedTree, summary: Mapping[str, object]
-) -> tuple[ModelFile, list[str]]:
-    """A fitted model as `model.toml` holds it, and a line for each effect that it cannot hold.
-    summary: of its provenance.
-    """
-    declared, by = declared_values(rig, problem, model), _fitted(model)
-    effects, lost = [], []
-    library = {e.name: e for e in own_catalogue(rig.task, problem.effects)}
-    own = set(library) - {e.name for e in catalogue(rig.task)}
-    translated = {ARMATURE.name, STRIBECK.name, TILT, *SAME, *own}
-    found = {(owner, k) for owner, _, k in by if owner not in (INERTIA, VISCOUS.name)}
-    for name, k in sorted(found):
-        if _in_another(name, k, by):
-            continue
-        dry = (COULOMB.name, "level", k) in by
-        if name in translated or (name == PRESLIDING.name and dry):
-            held_by, where, mine = _in_the_file(name, k, by)
-            parameters = library[held_by].parameters
-            numbers = {
-                p.name: mine.get(p.name, _number(p.default, 0.0, p.unit)) for p in parameters
-            }
-            effects.append(AddedEffect(held_by, where, numbers))
-        else:
-            lost.append(
-                f"model.toml cannot hold {name} at {JOINTS[k]}; model.xml says what of it MJCF can "
-                "hold"
-            )
-    geometry = {k: float(v) for k, v in rig.geometry.items()}
-    known = {k: float(v) for k, v in rig.known.items()}
-    file = ModelFile(
-        rig.task,
-        rig.model,
-        rig.angle_zero,
-        geometry,
-        declared,
-        tuple(effects),
-        known,
-        provenance=dict(summary),
-        library=tuple(library.values()) if own else (),
-    )
-    return file, lost

@@ -3,7 +3,7 @@ whose masses nobody declared.
 """
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
@@ -13,24 +13,26 @@ from typing import Any
 import numpy as np
 from scipy.optimize import lsq_linear
 
+from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.inquiry import Examined
+from adaptsim_jax.attribution.load import read_mended
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import STRETCHES
-from adaptsim_jax.attribution.mend import mjcf_files
+from adaptsim_jax.attribution.mend import MODEL, mjcf_files
 from adaptsim_jax.attribution.model_toml import DECLARED
 from adaptsim_jax.attribution.pendulum import (
-    JOINTS,
     LINEAR,
+    MOST,
+    PARAMETERS,
     RIGID,
+    check_rig,
     declared_machine,
-    declared_model,
     declared_values,
     doubted,
     in_the_plane,
-    model_file,
-    own_catalogue,
+    own_keys,
     pendulum_machine,
     rig_of,
 )
@@ -44,6 +46,7 @@ from adaptsim_jax.diagnosis.schema import new_report, with_effects
 from adaptsim_jax.diagnosis.written import Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.log_meta import Rig
 from adaptsim_jax.logs.pendulum import check_known, read_pendulum
@@ -57,8 +60,8 @@ from adaptsim_jax.logs.quality.pendulum_design import (
     tracks_of,
 )
 from adaptsim_jax.logs.quality.trial_words import add_trials
-from adaptsim_jax.mechanisms.registry import make_plant
-from adaptsim_jax.mend.pendulum_model import ModelFile, text_of
+from adaptsim_jax.mechanisms.double_pendulum.plant import JOINTS
+from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 
 LINKS = (
     "m1",
@@ -70,8 +73,6 @@ LINKS = (
     "b1",
     "b2",
 )  # of which base parameters are made, and which may be known
-Reward = Callable[[ModelFile, ModelFile], dict[str, Any] | None]
-"""What a mended model is worth to the task, of the declared and the mended model."""
 
 
 def diagnose_pendulum(
@@ -85,7 +86,6 @@ def diagnose_pendulum(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
-    reward: Reward | None = None,
 ) -> dict[str, Any]:
     """Which effects a recorded double pendulum has that a rigid body lacks.
 
@@ -100,7 +100,6 @@ def diagnose_pendulum(
         progress, page: As of `attribution.diagnose.diagnose`.
         as_declared: What the motion contradicts of the columns is taken all the same.
         effects: The catalogue, ours where None.
-        reward: What the mended model is worth to the task, of the declared and the mended model.
 
     Returns:
         The report (`diagnosis.schema`). Raises BadInput where the data cannot be read, or
@@ -131,7 +130,7 @@ def diagnose_pendulum(
         objective=STRETCHES,
         torques=rig.model == LINEAR,
     )
-    return _searched(log, checked, setting, notify, reward, run, output)
+    return _searched(log, checked, setting, notify, run, output)
 
 
 def _searched(
@@ -139,7 +138,6 @@ def _searched(
     checked: Audit,
     setting: DiagnosisSetting,
     notify: Note,
-    reward: Reward | None,
     run: Run,
     output: Output,
 ) -> dict[str, Any]:
@@ -152,14 +150,9 @@ def _searched(
         report, evidence = _reported(log, found, checked)
         provenance = {k: report[k] for k in ("verdict", "message")}
         provenance |= {"data": log.path} | run.as_dict()
-        null, _ = model_file(rig, found.problem, found.found.null, {})
-        file, lost = model_file(rig, found.problem, found.found.final, provenance)
-        report["notes"] += lost
-        if reward is not None and found.found.named:
-            _add_reward(report, lambda: reward(null, file))
-        files = {"model.toml": lambda: text_of(file)}
-        if rig.model != LINEAR:  # which no MJCF can say
-            files |= mjcf_files(found)
+        files = {**mjcf_files(found), MODEL_FILE: partial(_model_text, rig, found, provenance)}
+        if rig.model == LINEAR:  # which no MJCF can say
+            del files[MODEL]
         return finished(report, evidence, run, replace(output, files=files))
 
 
@@ -171,8 +164,16 @@ def _machine(log: Log, effects: Sequence[Effect] | None, spare: Path) -> Machine
     rig = rig_of(log)
     if rig.model_file is None:
         return declared_machine(log, first_parameters(log), spare / DECLARED)
-    declared_model(rig, own_catalogue(rig.task, effects or ()))
-    return pendulum_machine(log, rig.model_file, effects or ())
+    check_rig(rig)
+    given, declared = read_mended(rig.model_file)
+    known = {e.name: e for e in (*MACHINE, *(effects or ()))}
+    made = pendulum_machine(log, declared)
+    return model_toml.applied(given, rig.model_file, made, tuple(known.values()))
+
+
+def _model_text(rig: Rig, e: Examined, provenance: dict[str, Any]) -> str:
+    """`model.toml` of what was found."""
+    return model_toml.text_of(e.problem, e.found.final, provenance, more=own_keys(rig))
 
 
 def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -199,16 +200,6 @@ def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], di
     return report, evidence
 
 
-def _add_reward(report: dict[str, Any], reward: Callable[[], dict[str, Any] | None]) -> None:
-    """Put into a report what the mended model is worth to the task, if that is known, in place."""
-    try:
-        if worth := reward():
-            report["task_reward"] = worth
-    except Exception as error:  # policies are trained for it: the search must not go with them
-        why = " ".join(str(error).split())
-        report["warnings"].append(f"what it is worth to the task is not known: {why}")
-
-
 def first_parameters(log: Log) -> np.ndarray:
     """Declared parameters [P] at which the fit begins.
 
@@ -218,16 +209,13 @@ def first_parameters(log: Log) -> np.ndarray:
     not.
     """
     rig = rig_of(log)
-    if rig.model not in (RIGID, LINEAR):
-        raise BadInput(
-            f'{log.path}: model = "{rig.model}" is not diagnosed; write it as an MJCF, '
-            f'and task = "mechanism"'
-        )
-    plant = make_plant(rig.model, rig.angle_zero, rig.geometry, rig.known)
-    links = LINKS if rig.model == RIGID else ()
-    check_known(log.path, rig.known, (*plant.theta_names, *links))
-    theta = plant.low.copy()
-    free = plant.low < plant.high
+    names = PARAMETERS[rig.model]
+    if rig.model == RIGID and "l1" not in rig.geometry:
+        raise BadInput("meta.toml: [geometry] lacks l1, the length of link 1; add it in metres")
+    check_known(log.path, rig.known, (*names, *(LINKS if rig.model == RIGID else ())))
+    low = np.array([lowest for _, lowest in names.values()])
+    theta = np.array([rig.known.get(k, at) for k, at in zip(names, low, strict=True)])
+    free = np.array([name not in rig.known for name in names])
     if not log.driven and free.all():
         theta[0], free[0] = 1.0, False
     motion = motion_of(tracks_of(log))
@@ -235,7 +223,7 @@ def first_parameters(log: Log) -> np.ndarray:
     columns = np.concatenate([rig_design(rig)(motion, True), dampings], 2).reshape(-1, len(theta))
     size = np.linalg.norm(columns, axis=0) + 1e-30
     rest = motion.tau.reshape(-1) - columns[:, ~free] @ theta[~free]
-    bounds = plant.low[free] * size[free], plant.high[free] * size[free]
+    bounds = low[free] * size[free], MOST * size[free]
     theta[free] = lsq_linear(columns[:, free] / size[free], rest, bounds).x / size[free]
     return theta
 

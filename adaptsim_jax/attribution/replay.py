@@ -37,7 +37,7 @@ from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
-from adaptsim_jax.diagnosis.recommended import FileReplay, worse_joints
+from adaptsim_jax.diagnosis.recommended import FileReplay, joint_errors
 from adaptsim_jax.diagnosis.straight import doing_nothing, skill
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
@@ -274,7 +274,7 @@ def recommended(
         files = [folder / name for name in WRITTEN if (folder / name).exists()]
         if simulator == "mujoco":
             files = [file for file in files if file.suffix == ".xml"]
-        return worse_joints(run, files, spans)
+        return joint_errors(run, files, spans)
 
     return verify
 

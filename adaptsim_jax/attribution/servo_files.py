@@ -10,7 +10,7 @@ import numpy as np
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.closed_loop import ServoDiagnosis, by_piece, measure_of
-from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, worse_joints
+from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, joint_errors
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB, VISCOUS
@@ -170,7 +170,7 @@ def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
         return FileReplay(measure.joints, measure.units, by_piece(d.found, error), nothing)
 
     def verify(folder: Path) -> dict[str, Any]:
-        return worse_joints(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
+        return joint_errors(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
 
     return verify
 

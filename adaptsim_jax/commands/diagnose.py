@@ -260,6 +260,5 @@ def diagnose(data: str | Path | Log, **options: Any) -> Table:
 
         return of_mechanism(data, **options)
     from adaptsim_jax.attribution.pendulum_diagnosis import diagnose_pendulum
-    from adaptsim_jax.tasks.pendulum.controller import task_reward
 
-    return diagnose_pendulum(data, reward=task_reward, **options)
+    return diagnose_pendulum(data, **options)

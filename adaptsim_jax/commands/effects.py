@@ -7,16 +7,15 @@ import json
 from typing import Any
 
 from adaptsim_jax.core.config import Table
-from adaptsim_jax.effects.registry import ALSO, catalogue
+from adaptsim_jax.effects.registry import CATALOGUES, catalogue
 
-CATALOGUES = ("pendulum", *ALSO)
 LEGEND = """
 Formulas: q, v angle and velocity of the joint, t time; a force adds to the joint's torque.
 Amplitude: zero switches the effect off. Shape: how it acts. Torque scale: what the joint's torque exceeds 0.2 % of the time."""  # noqa: E501
 EXAMPLES = """
   adaptsim effects                           physics, parameters, bounds, look-alikes, what shows each
   adaptsim effects mechanism --brief         of any MJCF or URDF, a line for each; likewise pushing, scooping, toss
-  adaptsim effects pendulum --name stribeck  one of them
+  adaptsim effects mechanism --name stribeck  one of them
   adaptsim effects --json                    for a program
 """  # noqa: E501
 
@@ -74,7 +73,7 @@ def describe(effect: Any) -> Table:
 
     parameters = {"parameters": [_parameter(parameter) for parameter in effect.parameters]}
     head = table("name", "place", "scope", "physics", "formula")
-    return head | parameters | table("look_alikes", "contains", "excitation", "smooth")
+    return head | parameters | table("look_alikes", "contains", "excitation")
 
 
 def _parameter(parameter: Any) -> Table:

@@ -67,9 +67,8 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
     parameter.
 
     The parameters stand at the top of the file or under `[params]`; all are checked against
-    physical ranges. A `model.toml` is a target with effects of its own: `world` is then `task` with
-    that model to act in, else None. So it is where a target has more than parameters of Omega, any
-    field of an environment.
+    physical ranges. Where a target has more than parameters of Omega (any field of an environment,
+    a `model.toml`), `world` is `task` with that to act in, else None.
     """
     if text in task.settings:
         world = None if task.world is None else task.world(text)
@@ -82,11 +81,11 @@ def read_target(text: str, task: Any) -> tuple[str, Any, Any]:
         world = task.world(path)
         return path.stem, world.space.values(world.settings[path.stem], str(path)), world
     table = config.read(path)
-    if "declared" in table and "schema" in table:
-        from adaptsim_jax.mend.pendulum_model import model_of
-        from adaptsim_jax.tasks.pendulum.augmented import in_world
-
-        return path.stem, *in_world(task, model_of(table, str(path)))
+    if "schema" in table:
+        raise BadInput(
+            f"{path}: a model.toml is a target of environments (env.toml); give the parameters of "
+            f"{task.name}, such as {task.space.names[0]} = ..."
+        )
     if "params" in table:
         for key in table:
             if key != "params":

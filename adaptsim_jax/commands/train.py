@@ -73,8 +73,8 @@ def _of_model(args: argparse.Namespace) -> Table:
     table, kind = config.read(args.model), TASKS[args.task]
     if kind.of_model is None:
         raise BadInput(
-            f"--model: policies of task '{args.task}' are trained on no mended model yet; leave it "
-            "out"
+            f"--model: policies of task '{args.task}' are trained on no mended model; name it in "
+            "env.toml instead, and give --env"
         )
     if table.get("task") != args.task:
         raise BadInput(

@@ -56,10 +56,15 @@ def described(tree: Any) -> tuple[list[dict[str, Any]], list[np.ndarray]]:
 
 def write(file: Hashed, arrays: list[np.ndarray]) -> None:
     """Write an npz of the arrays a0, a1, ... piece by piece: there is no copy of all of them."""
-    with zipfile.ZipFile(cast(Any, file), "w") as archive:
+    archive = zipfile.ZipFile(cast(Any, file), "w")
+    try:
         for index, array in enumerate(arrays):
             with archive.open(f"a{index}.npy", "w", force_zip64=True) as part:
                 np.lib.format.write_array(part, array, allow_pickle=False)
+        archive.close()
+    except BaseException:  # Ctrl-C as a part is opened: closing would fail in its place
+        archive.fp = None
+        raise
 
 
 def unpack(payload: bytes, leaves: list[dict[str, Any]], like: Any, *, where: str) -> Any:

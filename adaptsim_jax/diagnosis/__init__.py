@@ -13,36 +13,24 @@ if TYPE_CHECKING:
     from adaptsim_jax.effects.base import Dry as Dry
     from adaptsim_jax.effects.base import Effect as Effect
     from adaptsim_jax.effects.base import Quantity as Quantity
-    from adaptsim_jax.effects.base import Relaxation as Relaxation
     from adaptsim_jax.effects.base import Traits as Traits
     from adaptsim_jax.effects.registry import catalogue as catalogue
     from adaptsim_jax.effects.registry import effect_named as effect_named
     from adaptsim_jax.logs.log import Log as Log
     from adaptsim_jax.logs.pendulum import read_pendulum as read_pendulum
     from adaptsim_jax.logs.read import read_log as read_log
-    from adaptsim_jax.mechanisms.plant import Plant as Plant
-    from adaptsim_jax.mechanisms.registry import make_plant as make_plant
-    from adaptsim_jax.mend.pendulum_model import ModelFile as ModelFile
-    from adaptsim_jax.mend.pendulum_model import read_model as read_model
-    from adaptsim_jax.mend.pendulum_model import write_model as write_model
 
 __all__ = [
     "Criteria",
     "Dry",
     "Effect",
     "Log",
-    "ModelFile",
-    "Plant",
     "Quantity",
-    "Relaxation",
     "Traits",
     "catalogue",
     "effect_named",
-    "make_plant",
     "read_log",
-    "read_model",
     "read_pendulum",
-    "write_model",
 ]
 
 __getattr__ = lazily(
@@ -51,19 +39,13 @@ __getattr__ = lazily(
         "Criteria": "diagnosis.criteria",
         "Dry": "effects.base",
         "Effect": "effects.base",
-        "ModelFile": "mend.pendulum_model",
-        "Plant": "mechanisms.plant",
         "Quantity": "effects.base",
         "Log": "logs.log",
         "read_log": "logs.read",
-        "Relaxation": "effects.base",
         "Traits": "effects.base",
         "catalogue": "effects.registry",
         "effect_named": "effects.registry",
-        "make_plant": "mechanisms.registry",
         "read_pendulum": "logs.pendulum",
-        "read_model": "mend.pendulum_model",
-        "write_model": "mend.pendulum_model",
     },
 )
 

@@ -1,5 +1,5 @@
 """Whether a file that a diagnosis wrote simulates its recording at least as well as the declared
-one, at every joint that moves.
+one, at every joint, and better than what needs no model.
 
 Effects and values are judged by stretches, or by torques along the motion. A user takes the file to
 simulate. So each file is run as `adaptsim replay` runs it, over some stretches and from starts that
@@ -31,15 +31,14 @@ class FileReplay:
     nothing: np.ndarray
 
 
-def worse_joints(
+def joint_errors(
     run: Callable[[Path | None, float], FileReplay],
     files: Sequence[Path],
     spans: Mapping[str, float],
 ) -> dict[str, list[dict[str, Any]]]:
-    """By file the joints at which it simulates worse than the declared file, worst first: rows of
-    joint, over (of what), before, after, unit.
-
-    A joint has no say where the declared file does no better there than what needs no model.
+    """By file what it leaves at each joint, the worst beside the declared file first: rows of
+    joint, over (of what), before (the declared file), after, nothing (what needs no model), unit,
+    and whether it is worse.
 
     Args:
         run: simulates a file (None: the declared one) over stretches of so many seconds.
@@ -53,20 +52,25 @@ def worse_joints(
                 after = run(file, span)
             except BadInput:  # a file of another kind, which nothing here simulates
                 continue
-            out[file.name] += [{"over": over} | row for row in _worse(before, after)]
+            out[file.name] += [{"over": over} | row for row in _compared(before, after)]
     for rows in out.values():
-        rows.sort(key=lambda row: -row["after"] / row["before"])
+        rows.sort(key=lambda row: -row["after"] / max(row["before"], 1e-300))
     return out
 
 
-def _worse(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
+def _compared(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
     def size(error):
         return np.sqrt(np.mean(np.square(np.minimum(error, REPORT.ran_away)), 0))
 
     one, two, nothing = size(before.error), size(after.error), size(before.nothing)
-    worse = (one < nothing) & (two > REPORT.slack * one)
     return [
-        {"joint": name, "before": float(one[j]), "after": float(two[j]), "unit": before.units[j]}
+        {
+            "joint": name,
+            "before": float(one[j]),
+            "after": float(two[j]),
+            "nothing": float(nothing[j]),
+            "unit": before.units[j],
+            "worse": bool(two[j] > REPORT.slack * one[j]),
+        }
         for j, name in enumerate(before.joints)
-        if worse[j]
     ]

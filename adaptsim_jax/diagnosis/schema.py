@@ -10,8 +10,7 @@ it finds them; all but the last two are checked:
     not_established       [sentence]
     warnings, notes       [sentence]                                        of the audit and the
     reader. The terminal shows them too trials                {differ, leave_out, headline, each:
-    [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words` task_reward
-    {before, after, oracle}                           in [0, 1]
+    [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
     power                 [{name, where, size, unit, power}]                share found of what was
@@ -246,9 +245,7 @@ def _report_schema() -> dict[str, Any]:
         "declared": _record({"before": _table_of(declared), "after": _table_of(declared)}),
         "next_experiment": {},
     }
-    reward = _record({"before": NUMBER, "after": NUMBER}) | {"type": ["object", "null"]}
-    optional = dict.fromkeys(("not_established", "warnings", "notes"), SENTENCES)
-    return _record(required, optional | {"task_reward": reward})
+    return _record(required, dict.fromkeys(("not_established", "warnings", "notes"), SENTENCES))
 
 
 @functools.cache

@@ -10,7 +10,7 @@ how hard a contact is) and has no function.
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -128,20 +128,20 @@ class Quantity:
 class Motion(NamedTuple):
     """What a force effect is given.
 
-    - `q, v, u [n, ...]`: Angle, speed and command, rad, rad/s, N m.
+    - `q, v, u [n, ...]`: Angle, speed and the actuator's torque, rad, rad/s, N m.
     - `t [1, ...]`: Time since the trial began, s.
-    - `memory [n, ...]`: The effect's own.
-    - `gravity(q) -> [n, ...]`: Of the plant.
-    - `clock [1, ...]`: Time of what goes on whether a trial runs or not, s. None: the same as `t`.
+    - `gravity(q) -> [n, ...]`: Force of gravity, N m.
+    - `pull [n, ...]`: The part of `u` that follows the command and the angle.
+    - `target [n, ...]`: The command.
     """
 
-    q: jax.Array
-    v: jax.Array
-    u: jax.Array
-    t: jax.Array
-    memory: jax.Array
+    q: Any
+    v: Any
+    u: Any
+    t: Any
     gravity: Callable
-    clock: jax.Array | None = None
+    pull: Any
+    target: Any
 
 
 class Dry(NamedTuple):
@@ -149,23 +149,12 @@ class Dry(NamedTuple):
     `force` beside it.
 
     The level is a number, not a force, because only the integrator knows which force at rest stops
-    the motion. What holds it is a spring that gives way by `yielding` [rad/(N m)], which only
-    mechanisms other than the double pendulum know.
+    the motion. What holds it is a spring that gives way by `yielding` [rad/(N m)].
     """
 
     level: jax.Array
     force: jax.Array | float = 0.0
     yielding: jax.Array | float = 0.0
-
-
-class Relaxation(NamedTuple):
-    """A force with memory: `force`, and `d memory / dt = rate (target - memory)`, integrated
-    exactly over a step.
-    """
-
-    force: jax.Array
-    target: jax.Array
-    rate: jax.Array
 
 
 class Drive(NamedTuple):
@@ -242,10 +231,9 @@ class Effect:
 
     - command: `apply(p, t [T, ...], u [T, ...]) -> u'`: a whole trial's command, each value held to
       the next row;
-    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction, or a `Relaxation` where
-      `memory` is true. Where `inertia` is true, `apply(p) -> kg m^2` added to the joint.
-    - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link, of
-      mechanisms only;
+    - force: `apply(p, motion) -> force [n, ...]`, or `Dry` friction. Where `inertia` is true,
+      `apply(p) -> kg m^2` added to the joint.
+    - drive: `apply(p) -> Drive` (`attribution/drive.py`) between a joint's rotor and its link;
     - measurement: `apply(p, t [T, ...], q [T, ...], v [T, ...], first [...]) -> (q', v')`: what the
       sensor of one joint says; `first` is the angle that it did say at the first time, for sensors
       that remember;
@@ -282,8 +270,6 @@ class Effect:
     excitation: str = ""
     look_alikes: tuple[str, ...] = ()
     scope: str = "joint"
-    smooth: bool = True
-    memory: bool = False
     inertia: bool = False
     jump: bool = False
     pair: bool = False

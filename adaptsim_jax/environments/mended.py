@@ -59,6 +59,8 @@ def mended(env: Any, path: str | Path) -> Any:
     env = getattr(env, "declared", env)
     keeper = holders(env, str(path))[1]
     form = read_form(table, str(path), OWN)
+    if form.own.get("linear"):
+        raise BadInput(f"{path}: linear = true, which no engine of environments has; give another")
     declared = declared_machine(path.parent / form.model)
     found = applied(table, str(path), declared)
     native = copy.deepcopy(getattr(env, keeper))

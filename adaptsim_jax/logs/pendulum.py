@@ -35,7 +35,6 @@ from adaptsim_jax.logs.log_meta import LogMeta, Rig
 from adaptsim_jax.logs.log_units import check_unit
 from adaptsim_jax.logs.read import read_raw
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.mechanisms.registry import MECHANISMS
 
 JOINTS = ("joint1", "joint2")
 NAMES = ModelNames(JOINTS)
@@ -44,6 +43,7 @@ STEMS = ("time", "nanos", "trial", "q", "v", "tau", "tau_commanded")
 CHANNELS = ("q1", "q2", "v1", "v2", "tau1", "tau2")
 GROUPS = {"q": "angle", "v": "velocity", "tau": "torque"}
 """Column stem -> the word for it in `[units]`."""
+MODELS = ("rigid_body", "linearized")
 REQUIRED = {
     "task": '"pendulum"',
     "model": '"rigid_body" or "linearized"',
@@ -195,19 +195,14 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
     if value.endswith(".toml"):
         file, value = value, ""
     if file is None:
-        return choice(path, raw, "model", tuple(MECHANISMS)) or "", None
+        return choice(path, raw, "model", MODELS) or "", None
     where = (path.parent / file).resolve()
     if not where.is_file():
         raise BadInput(
             f"{path}: model file {file!r} does not exist beside it; give its path relative to the "
             "folder"
         )
-    base = value or read(where).get("model")
-    if not isinstance(base, str) or base not in MECHANISMS:
-        raise BadInput(
-            f"{where}: model = {brief(base)} is unknown; it must be one of {', '.join(MECHANISMS)}"
-        )
-    return base, str(where)
+    return MODELS[bool(read(where).get("linear"))], str(where)
 
 
 def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tuple[str, ...]]:

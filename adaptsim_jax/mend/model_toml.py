@@ -209,17 +209,6 @@ def _value(where: str, key: str, given: Any) -> Value:
     return Value(value, *ends, unit=table.get("unit", ""), fitted=table.get("fitted", True))
 
 
-def of_unit(where: str, key: str, value: Value, unit: str) -> Value:
-    """The value in `unit`, which is also meant where the file says none."""
-    if value.unit not in ("", unit):
-        raise BadInput(
-            f"{where}: {key}.unit = {value.unit!r}, but it is in {unit!r}; convert the value"
-        )
-    low = value.value if value.low is None else value.low
-    high = value.value if value.high is None else value.high
-    return Value(value.value, low, high, unit, value.fitted)
-
-
 def _effects(where: str, rows: Any) -> tuple[AddedEffect, ...]:
     if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
         raise BadInput(

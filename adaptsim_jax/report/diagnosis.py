@@ -45,7 +45,7 @@ MOST_CANDIDATES = 8
 """Rows of candidates that the page shows at first."""
 
 GOES_TO = {
-    "pendulum": "adaptsim train --model, adapt and diagnose",
+    "pendulum": "adaptsim replay, diagnose and env.toml",
     "mechanism": "adaptsim replay",
     "pushing": "adaptsim train pushing --model",
     "scooping": "people: no command takes it yet",
@@ -110,7 +110,6 @@ def render(report: dict[str, Any], evidence: Mapping, out: Path | None = None) -
         "files": _links(out),
         "model_goes_to": GOES_TO.get(report["task"], GOES_TO["pendulum"]),
         "levels": {"parameter": REPORT.parameter_level, "error": REPORT.error_level},
-        "reward": report.get("task_reward"),
         "script": explore.script(bool(traces or above)),
     }
     return explore.filled("diagnosis.html.j2", **page)

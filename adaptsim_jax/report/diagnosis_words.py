@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from adaptsim_jax.core.config import read
 from adaptsim_jax.diagnosis.criteria import REPORT
@@ -100,8 +102,9 @@ def headline(report: Mapping) -> str:
     words = _verdict(report)
     if differ:
         words = f"{words} But {differ}."
-    if worse := worse_files(report):
-        words = f"{words} But {worse}."
+    for caveat in (worse_files(report), unpredicted(report)):
+        if caveat:
+            words = f"{words} But {caveat}."
     return words
 
 
@@ -110,7 +113,7 @@ def worse_files(report: Mapping) -> str:
     which each is worst, and by how much. Empty where none does.
     """  # noqa: E501
     parts = []
-    for name, rows in (report.get("files") or {}).items():
+    for name, rows in _worse(report).items():
         if rows:
             row = rows[0]
             after = fmt.quantity(row["after"], row["unit"])
@@ -123,17 +126,60 @@ def worse_files(report: Mapping) -> str:
     return "; ".join(parts)
 
 
-def _files(report: Mapping) -> str:
-    """Which file to take where one of them is worse than the declared one; empty where none is."""
+def _worse(report: Mapping) -> dict[str, list[Mapping]]:
+    """By file the rows of joints that it simulates worse than the declared one, worst first."""
     files = report.get("files") or {}
-    good = [name for name, rows in files.items() if not rows]
-    if len(good) == len(files):
+    return {name: [row for row in rows if row["worse"]] for name, rows in files.items()}
+
+
+def unpredicted(report: Mapping) -> str:
+    """That a straight line simulates most joints better than any file, and at how many. Empty where
+    files do better, or none was run.
+    """
+    rows = [row for some in (report.get("files") or {}).values() for row in some]
+    joints = {row["joint"] for row in rows}
+    predicted = {row["joint"] for row in rows if min(row["before"], row["after"]) < row["nothing"]}
+    if 2 * len(predicted) >= len(joints):
         return ""
-    if good:
-        return f"Simulate with {fmt.listing(good)} alone: {worse_files(report)}."
     return (
-        f"Keep the declared file for simulation: {worse_files(report)}. Look where the rest sits."
+        f"a straight line simulates {len(joints - predicted)} of {len(joints)} joints better than "
+        "any file, the declared one too"
     )
+
+
+def _files(report: Mapping) -> str:
+    """What to take the files for where one of them is worse than the declared one, or none simulates;
+    empty otherwise.
+    """  # noqa: E501
+    if nothing := unpredicted(report):
+        return (
+            f"Do not simulate these motions by any file: {nothing}. The mended model is good for "
+            "the torque along a motion, and in closed loop with the robot's own controller."
+        )
+    good, worse = recommended(report), worse_files(report)
+    if len(good) == len(report.get("files") or {}):
+        return ""
+    if not good:
+        return f"Keep the declared file for simulation: {worse}. Look where the rest sits."
+    reason = worse or "the other is worse at a joint"
+    return f"Simulate with {fmt.listing(good)} alone: {reason}."
+
+
+def recommended(report: Mapping) -> list[str]:
+    """Files that simulate no joint worse than the declared one, nor than that of them which leaves
+    least of all joints.
+    """
+    files, worse = report.get("files") or {}, _worse(report)
+    good = [name for name in files if not worse[name]]
+    left = {name: [row["after"] for row in _in_order(files[name])] for name in good}
+    if len(good) < 2 or not all(left.values()):
+        return good
+    best = np.array(min(left.values(), key=lambda z: np.sum(np.log(z))))
+    return [name for name in good if np.all(np.array(left[name]) <= REPORT.slack * best)]
+
+
+def _in_order(rows: Sequence[Mapping]) -> list[Mapping]:
+    return sorted(rows, key=lambda row: (row["over"], row["joint"]))
 
 
 def _verdict(report: Mapping) -> str:

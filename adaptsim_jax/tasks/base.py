@@ -277,8 +277,7 @@ class TaskKind:
     config: A frozen dataclass of the task's options, all with defaults. make: `(config) -> Task`;
     BadInput says what an option would lead to. one_shot: `(config) -> OneShot`, of tasks whose
     policies are learned: `adaptsim compare` needs it. train: What `adaptsim train` starts from, a
-    table laid over the defaults of `TrainConfig`. augmented: `(options, where) -> Task` on the
-    model file that stands under the option `model`. of_model: `(model file as a table, its name) ->
+    table laid over the defaults of `TrainConfig`. of_model: `(model file as a table, its name) ->
     options`, what `adaptsim train --model` lays over the options (`left_out`: effects of the file
     that are none of the simulator's). backends: The engines that it runs in (`tasks/engine.py`),
     and parity: what they agree on. adapt, robot: What the commands of these names show and say
@@ -290,7 +289,6 @@ class TaskKind:
     make: Callable[[Any], Task]
     one_shot: Callable[[Any], Any] | None = None
     train: Mapping[str, Any] = field(default_factory=dict)
-    augmented: Callable[[Table, str], Task] | None = None
     of_model: Callable[[Table, str], Table] | None = None
     adapt: AdaptFace | None = None
     robot: RobotFace | None = None

@@ -5,7 +5,6 @@ list the names.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 from adaptsim_jax.core import config
@@ -42,19 +41,10 @@ TRIALS: Registry[Diagnose] = Registry(
 
 
 def make_task(name: str, options: Mapping[str, Any], where: str = "config, [task]") -> Task:
-    """The task called `name`, on a mended model where `options` hold one that is no option of the
-    task's own.
-
-    BadInput names an unknown task or option, with the nearest known one.
+    """The task called `name`. BadInput names an unknown task or option, with the nearest known
+    one.
     """
     kind = TASKS[config.pick("task", name, TASKS)]
-    if "model" in options and "model" not in {f.name for f in fields(kind.config)}:
-        if kind.augmented is None:
-            raise BadInput(
-                f"{where}: a mended model of task '{name}' is not in this version yet; leave "
-                "'model' out"
-            )
-        return kind.augmented(dict(options), where)
     return kind.make(config.from_table(kind.config, dict(options), where))
 
 

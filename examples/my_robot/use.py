@@ -13,11 +13,9 @@ from adaptsim_jax import (
     make_phase1,
     make_task,
 )
-from adaptsim_jax.diagnosis import catalogue, make_plant
+from adaptsim_jax.diagnosis import catalogue
 
-print(
-    [effect.name for effect in catalogue()][-1], make_plant("inclined", "hanging", {"l1": 0.3}).name
-)
+print([effect.name for effect in catalogue()][-1])
 
 puck = make_task("puck", {"goal": 0.5})
 phase1 = make_phase1(
@@ -31,7 +29,7 @@ params = np.array([[1.0, 0.8, 0.4, 0.3, 0.2, 0.15, 0.02, 0.01, 0.1, 0.1]])
 command, rest = np.ones((1, 50, 2)), np.zeros((1, 4))
 late, prompt = (
     make_backend("pendulum", name).simulate(params, command, rest).state
-    for name in ("late", "rigid_body")
+    for name in ("late", "native")
 )
 print("late by a row:", np.abs(np.asarray(late)[0, 1:] - np.asarray(prompt)[0, :-1]).max())
 

@@ -19,7 +19,7 @@ def at(q, values):
     p = {f"at{k}": jnp.full((1, 1), float(z)) for k, z in enumerate(values)}
     p |= {"low": jnp.full((1, 1), NODE[0]), "high": jnp.full((1, 1), NODE[-1])}
     q = jnp.asarray(q, float)[None]
-    return p, Motion(q, q, q, q, q, lambda q: q, None)
+    return p, Motion(q, q, q, q, lambda q: q, q, q)
 
 
 @pytest.mark.parametrize(

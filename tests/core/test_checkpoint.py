@@ -290,3 +290,14 @@ def test_killed_at_any_moment_a_whole_checkpoint_is_there(tmp_path):
         assert np.all(np.asarray(loaded["x"]) == step)
     save(tmp_path, like)
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json", ".npz"]
+
+
+def test_ctrl_c_as_a_part_is_opened_stays_ctrl_c(tmp_path, monkeypatch):
+    """`zipfile` says that it cannot close the archive, in the place of it."""
+
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("zipfile._get_compressor", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        store.save_checkpoint(tmp_path / "c", a_tree(), task=TASK, step=1, config_hash="")

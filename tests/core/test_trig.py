@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from adaptsim_jax.core.trig import sin_cos
+from adaptsim_jax.core.trig import once, sin_cos
 
 ANGLES = np.linspace(-7.0, 9.0, 33)
 
@@ -72,3 +72,21 @@ def test_an_angle_gone_astray_stays_a_sine():
     with jax.enable_x64(True):
         sin, cos = sin_cos(jnp.array([1e9, -1e300, jnp.inf]))
         assert np.all(np.abs(np.asarray([sin, cos]))[:, :2] <= 1.0 + 1e-9) and np.isnan(sin[2])
+
+
+@pytest.mark.parametrize("asked", [1.0, -1.0, 0.0])
+@pytest.mark.parametrize("x64", [False, True])
+def test_what_goes_through_once_is_as_it_was(asked, x64):
+    with jax.enable_x64(x64):
+        values = {"a": jnp.array([1.5, -2.0]), "b": jnp.array(0.1)}
+
+        def through(values):
+            return once(values, jnp.array([asked, 3.0]))
+
+        chex.assert_trees_all_equal(jax.jit(through)(values), values)
+        chex.assert_trees_all_equal(jax.jvp(through, (values,), (values,))[1], values)
+        chex.assert_trees_all_equal(
+            jax.grad(lambda v: jnp.sum(through(v)["a"]))(values)["a"], jnp.ones(2)
+        )
+        many = jax.vmap(lambda a: once(values, a[None]))(jnp.array([asked, -asked]))
+        chex.assert_trees_all_equal(jax.tree.map(lambda z: z[1], many), values)

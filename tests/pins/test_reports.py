@@ -122,4 +122,4 @@ def test_tosses(tmp_path):
     names = {key: [(row["name"], row["where"]) for row in report[key]] for key in ROWS}
     files = sorted(p.name for p in (tmp_path / "out").iterdir())
     made = {"report": sorted(report), "verdict": report["verdict"], **names, "files": files}
-    check("report_toss", made)
+    check("names_toss", made)

@@ -70,7 +70,6 @@ def test_every_key_is_wanted(path):
         ({"effects": []}, "names an effect"),
         ({"verdict": "explained_class"}, "alternatives"),
         ({"message": " "}, "message"),
-        ({"task_reward": 3}, "task_reward"),
         ({"not_established": "all"}, "not_established"),
     ],
 )

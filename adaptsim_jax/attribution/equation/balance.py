@@ -12,13 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 import scipy.sparse
 
-from adaptsim_jax.attribution.acting import JointMotion, Values, actuated
+from adaptsim_jax.attribution.acting import Values, actuated
 from adaptsim_jax.attribution.criteria import BALANCE, WINDOW
 from adaptsim_jax.attribution.equation.windows import EvenTrial, runs_of
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, values_of
 from adaptsim_jax.attribution.stretches import JointTrack
-from adaptsim_jax.effects.base import Dry, Effect
+from adaptsim_jax.effects.base import Dry, Effect, Motion
 from adaptsim_jax.effects.joints.actuator import TORQUE_GAIN
 from adaptsim_jax.mechanisms import dynamics, equations
 from adaptsim_jax.mechanisms.tree import Tree
@@ -273,7 +273,7 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, widt
     def gravity(q):
         return equations.gravity_force(tree, inertial, q, jnp.asarray(tree.gravity))
 
-    answer = effect.apply(p, JointMotion(q, v, tau, t, jnp.zeros_like(q), gravity, t, pull, u))
+    answer = effect.apply(p, Motion(q, v, tau, t, gravity, pull, u))
     if isinstance(answer, Dry):
         rate, more = jnp.asarray(tree.rub).T[..., None]
         sign = ramp(ahead, width, more * jnp.abs(answer.level) / jnp.maximum(rate, 1e-9))

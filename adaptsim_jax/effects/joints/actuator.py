@@ -1,9 +1,9 @@
 """Between the command that was recorded and the torque that reaches a joint.
 
-Of the double pendulum these are effects on its commands, held from their row to the next. What an
-effect returns is each row's mean, so impulses are exact: `t: [T, ...]` s and `u: [T, ...]` N m have
-time first, parameters are `[1, ...]`, the last row lasts no time. Of any machine an actuator's own
-law makes the torque, so that gains and limits are forces there.
+Delays and lags act on commands, held from their row to the next. What they return is each row's
+mean, so impulses are exact: `t: [T, ...]` s and `u: [T, ...]` have time first, parameters are
+`[1, ...]`, the last row lasts no time. An actuator's own law makes the torque of a command, so that
+gains and limits are forces.
 """
 
 import jax
@@ -14,22 +14,6 @@ from adaptsim_jax.effects.base import Effect, Quantity, Traits
 
 def _durations(t):
     return jnp.concatenate([jnp.diff(t, axis=0), jnp.zeros_like(t[:1])])
-
-
-def torque_gain(p, t, u):
-    return (1.0 + p["gain"]) * u
-
-
-def saturation(p, t, u):
-    """The limit is written as a share cut off the largest command, so that no cut changes
-    nothing.
-    """
-    level = (1.0 - p["cut"]) * p["peak"]
-    return jnp.clip(u, -level, level)
-
-
-def dead_zone(p, t, u):
-    return u - jnp.clip(u, -p["width"], p["width"])
 
 
 def delay(p, t, u):
@@ -74,116 +58,6 @@ def actuator_lag(p, t, u):
     _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, keep))
     share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
     return u + (state - u) * share
-
-
-UNKNOWN_BEFORE = Quantity(
-    "before",
-    "1",
-    0.0,
-    1.0,
-    shape=True,
-    optional=True,
-    meaning="torque as a trial begins, over its first command",
-)
-"""No log says what was commanded before it began."""
-
-PENDULUM_DELAY = Effect(
-    "delay",
-    "command",
-    (Quantity("delay", "s", 0.0, 0.1, sign=1), UNKNOWN_BEFORE),
-    delay,
-    "commands reach the joint late",
-    "fast changes of command",
-    ("actuator_lag", "sensor_lag"),
-    smooth=False,
-    jump=True,
-    formula="command(t - delay)",
-    title="command delay",
-)
-
-PENDULUM_SATURATION = Effect(
-    "saturation",
-    "command",
-    (
-        Quantity("cut", "1", 0.0, 0.95, sign=1, meaning="share cut off the largest command"),
-        Quantity(
-            "peak",
-            "N m",
-            0.0,
-            1e9,
-            1e9,
-            shape=True,
-            held=True,
-            meaning="the largest command recorded; not fitted",
-        ),
-    ),
-    saturation,
-    "torque cannot exceed a limit: (1 - cut) of the largest command",
-    "commands near and below the limit",
-    ("torque_gain",),
-    smooth=False,
-    jump=True,
-    formula="command within +-(1 - cut) peak",
-)
-
-PENDULUM_DEAD_ZONE = Effect(
-    "dead_zone",
-    "command",
-    (Quantity("width", "N m", 0.0, 0.9, sign=1),),
-    dead_zone,
-    "commands below a width move nothing, larger ones lose it",
-    "small and large commands of both signs",
-    ("coulomb", "torque_gain"),
-    smooth=False,
-    jump=True,
-    formula="command less width, zero within +-width",
-)
-
-PENDULUM_TORQUE_GAIN = Effect(
-    "torque_gain",
-    "command",
-    (Quantity("gain", "1", -0.9, 2.0, factor=True),),
-    torque_gain,
-    "the torque constant is off by a share",
-    "driven motion beside free swings",
-    (
-        "load_friction",
-        "rotor_inertia",
-        "torque_gain",
-    ),  # of another joint: all forces have one common scale
-    formula="(1 + gain) command",
-)
-
-PENDULUM_ACTUATOR_LAG = Effect(
-    "actuator_lag",
-    "command",
-    (Quantity("lag", "s", 0.0, 0.2, sign=1), UNKNOWN_BEFORE),
-    actuator_lag,
-    "the torque follows the command as a first-order lag",
-    "fast changes of command",
-    ("delay", "sensor_lag"),
-    jump=True,
-    formula="lag torque' = command - torque",
-)
-
-
-def rotor_inertia(p):
-    return p["inertia"]
-
-
-PENDULUM_ROTOR_INERTIA = Effect(
-    "rotor_inertia",
-    "force",
-    (Quantity("inertia", "kg m^2", 0.0, 1.0, sign=1),),
-    rotor_inertia,
-    "the motor's inertia times gear ratio squared, felt at its own joint only (large ratio: the "
-    "coupling through the moving stator is smaller by the ratio and left out); at joint 1 a "
-    "rigid body's own inertia absorbs it",
-    "fast motion of both joints with the elbow straight and bent",
-    ("torque_gain",),
-    inertia=True,
-    formula="-inertia dv/dt, of its own joint only",
-)
 
 
 LATEST = 0.05  # s: a bus and a driver together delay less

@@ -6,15 +6,62 @@ spot) would otherwise be given the name of the law that is least unlike it. They
 law holds out any more. A law with fewer parameters has the name wherever it does as well.
 """
 
-from dataclasses import replace
-
 import jax.numpy as jnp
+import numpy as np
 
-from adaptsim_jax.effects import disturbance, elastic
+from adaptsim_jax.core.trig import sin_cos
 from adaptsim_jax.effects.base import Dry, Effect, Quantity, Traits
-from adaptsim_jax.effects.joints.actuator import rotor_inertia
 
 NODES = 10  # of a range of motion: a spot of a tenth of it shows
+FINEST = 1.0 / 12.0  # Hz between frequencies of the grid: a trial of 6 s tells no more
+
+
+def bias(p, m):
+    return p["torque"] + 0.0 * m.q
+
+
+def spring(p, m):
+    return p["preload"] - p["stiffness"] * m.q
+
+
+def hard_stop(p, m):
+    """A spring beyond an angle that never pulls: an upper stop where `side` is 1, a lower one where
+    it is -1.
+
+    It loses energy in proportion to the depth (`loss`; Hunt and Crossley, 1975).
+    """
+    depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
+    pressed = depth * (1.0 + p["loss"] * p["side"] * m.v)
+    return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
+
+
+def rotor_inertia(p):
+    return p["inertia"]
+
+
+def periodic_disturbance(p, m):
+    sin, cos = sin_cos(2.0 * jnp.pi * p["frequency"] * m.t)
+    return p["sine"] * sin + p["cosine"] * cos + 0.0 * m.q
+
+
+def _orders(reach, joint):
+    return [{"order": float(k)} for k in range(2, 31)]
+
+
+def _frequencies(reach, joint):
+    """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most
+    half of Nyquist. In long trials no finer than `FINEST`.
+    """
+    top = min(15.0, 0.25 / reach.dt)
+    step = max(0.5 / reach.duration, FINEST)
+    return [{"frequency": float(f)} for f in np.arange(step, top, step)[:160]]
+
+
+def _ends(reach, joint):
+    low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
+    span = high - low
+    upper = [{"angle": high - span * s, "side": 1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
+    return upper + [{"angle": low + span * s, "side": -1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
 
 
 def cogging(p, m):
@@ -105,7 +152,7 @@ SPRING = Effect(
         Quantity("stiffness", "N m/rad", -5.0, 5.0, sign=1, mjcf="stiffness"),
         Quantity("preload", "N m", -5.0, 5.0, mjcf="preload"),
     ),
-    elastic.spring,
+    spring,
     "a torsional spring or a cable; at rest at preload / stiffness",
     "a wide range of angles",
     ("bias", "position_gain", "encoder_offset"),
@@ -113,10 +160,15 @@ SPRING = Effect(
     title="torsional spring",
 )
 
-BIAS = replace(
-    disturbance.PENDULUM_BIAS,
-    physics="a constant torque: the torque sensor's zero, a cable's pull",
-    look_alikes=("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
+BIAS = Effect(
+    "bias",
+    "force",
+    (Quantity("torque", "N m", -1.0, 1.0),),
+    bias,
+    "a constant torque: the torque sensor's zero, a cable's pull",
+    "a wide range of angles",
+    ("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
+    formula="torque",
 )
 
 COGGING = Effect(
@@ -131,13 +183,23 @@ COGGING = Effect(
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
     "slow sweeps over many periods",
     ("spring",),
-    grid=disturbance.orders,
+    grid=_orders,
     formula="sine sin(order q) + cosine cos(order q)",
 )
 
-PERIODIC_DISTURBANCE = replace(
-    disturbance.PENDULUM_PERIODIC_DISTURBANCE,
-    physics="a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
+PERIODIC_DISTURBANCE = Effect(
+    "periodic_disturbance",
+    "force",
+    (
+        Quantity("sine", "N m", -1.0, 1.0),
+        Quantity("cosine", "N m", -1.0, 1.0),
+        Quantity("frequency", "Hz", 0.05, 60.0, 2.0, shape=True),
+    ),
+    periodic_disturbance,
+    "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
+    "long trials whose commands leave that frequency free",
+    ("cogging",),
+    grid=_frequencies,
     formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
     traits=Traits(in_balance=False),
 )
@@ -151,11 +213,11 @@ HARD_STOP = Effect(
         Quantity("side", "1", -1.0, 1.0, 1.0, shape=True, held=True),
         Quantity("loss", "s", 0.0, 1.0, shape=True, optional=True),
     ),
-    elastic.hard_stop,
+    hard_stop,
     "an end stop beyond an angle",
     "motion into the stop, and well inside it",
     ("spring",),
-    grid=elastic.stops,
+    grid=_ends,
     starts=_stops,
     formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
     traits=Traits(in_balance=False),

@@ -1,10 +1,8 @@
-"""Friction and drag at a joint: of the double pendulum, then of any machine."""
-
-from dataclasses import replace
+"""Friction and drag at a joint of any machine."""
 
 import jax.numpy as jnp
 
-from adaptsim_jax.effects.base import Dry, Effect, Motion, Quantity, Relaxation, Traits
+from adaptsim_jax.effects.base import Dry, Effect, Motion, Quantity, Traits
 
 
 def speeds(reach, joint):
@@ -20,11 +18,6 @@ def coulomb(p, m: Motion):
     return Dry(p["level"] + 0.0 * m.q)
 
 
-def stribeck_and_level(p, m: Motion):
-    """Bo and Pavelescu's (1982) Gaussian fall from break-away to sliding friction."""
-    return Dry(p["level"] + p["excess"] * jnp.exp(-jnp.square(m.v / p["speed"])))
-
-
 def quadratic_drag(p, m: Motion):
     return -p["drag"] * m.v * jnp.abs(m.v)
 
@@ -37,116 +30,6 @@ def friction_drift(p, m: Motion):
 
 def load_friction(p, m: Motion):
     return Dry(p["share"] * jnp.abs(m.u))
-
-
-def bristle(p, m: Motion):
-    """Dahl (1968): a bristle bends before the joint slides; memory is its deflection over the
-    break-away deflection. With damping it is LuGre (Canudas de Wit et al., 1995): the bristle's
-    rate resists too.
-    """
-    speed = jnp.abs(m.v)
-    rate = (m.v - speed * m.memory) / p["deflection"]
-    force = -p["level"] * (m.memory + p["damping"] * rate)
-    return Relaxation(force, m.v / jnp.sqrt(speed**2 + 1e-12), speed / p["deflection"])
-
-
-PENDULUM_COULOMB = Effect(
-    "coulomb",
-    "force",
-    (Quantity("level", "N m", 0.0, 1.0, sign=1),),
-    coulomb,
-    "dry friction: a constant torque against the motion",
-    "reversals, and both slow and fast motion",
-    ("stribeck", "presliding", "load_friction", "dead_zone", "friction_drift"),
-    formula="-level sign(v); holds the joint where less than the level would move it",
-    title="Coulomb friction",
-)
-
-PENDULUM_STRIBECK = Effect(
-    "stribeck",
-    "force",
-    (
-        Quantity("level", "N m", 0.0, 1.0, sign=1),
-        Quantity("excess", "N m", 0.0, 2.0, sign=1, meaning="how much more at rest"),
-        Quantity(
-            "speed",
-            "rad/s",
-            0.02,
-            20.0,
-            0.5,
-            shape=True,
-            meaning="at which the excess has fallen to a third",
-        ),
-    ),
-    stribeck_and_level,
-    "dry friction that is higher at creeping speed",
-    "long stretches of slow motion beside fast ones",
-    ("coulomb", "presliding"),
-    contains=("coulomb",),
-    formula="-(level + excess exp(-(v / speed)^2)) sign(v)",
-    title="Stribeck friction",
-)
-
-PENDULUM_QUADRATIC_DRAG = Effect(
-    "quadratic_drag",
-    "force",
-    (Quantity("drag", "N m s^2/rad^2", 0.0, 1.0, sign=1),),
-    quadratic_drag,
-    "air drag or turbulent oil: torque with the square of speed",
-    "a wide range of speeds",
-    ("coulomb", "friction_drift"),
-    formula="-drag v |v|",
-)
-
-PENDULUM_FRICTION_DRIFT = Effect(
-    "friction_drift",
-    "force",
-    (
-        Quantity("viscous", "N m s/rad", -1.0, 1.0),
-        Quantity("dry", "N m", -1.0, 1.0),
-        Quantity("decay", "s", 0.05, 100.0, 2.0, shape=True, meaning="time to fall to a third"),
-    ),
-    friction_drift,
-    "friction that changes as the joint warms up within a trial",
-    "the same motion early and late in a trial",
-    ("coulomb", "quadratic_drag"),
-    grid=decays,
-    formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
-)
-
-PENDULUM_LOAD_FRICTION = Effect(
-    "load_friction",
-    "force",
-    (Quantity("share", "1", 0.0, 1.0, sign=1),),
-    load_friction,
-    "gear friction in proportion to the torque that the joint carries",
-    "high and low torque at like speeds",
-    ("coulomb", "torque_gain"),
-    formula="-share |command| sign(v)",
-    title="load-dependent friction",
-)
-
-PENDULUM_PRESLIDING = Effect(
-    "presliding",
-    "force",
-    (
-        Quantity("level", "N m", 0.0, 1.0, sign=1),
-        Quantity(
-            "deflection", "rad", 1e-3, 0.5, 0.02, shape=True, meaning="at which it breaks away"
-        ),
-        Quantity(
-            "damping", "s", 0.0, 0.1, shape=True, meaning="of the bristle; 0 is Dahl, more is LuGre"
-        ),
-    ),
-    bristle,
-    "friction that acts as a spring before the joint slides (Dahl, LuGre)",
-    "many small reversals of less than the break-away deflection",
-    ("coulomb", "stribeck", "backlash"),
-    memory=True,
-    smooth=False,
-    contains=("coulomb",),
-    formula="-level (z + damping z'), z' = (v - |v| z) / deflection",
-)
 
 
 def viscous(p, m):
@@ -272,11 +155,31 @@ LOAD_FRICTION = Effect(
     title="load-dependent friction",
 )
 
-QUADRATIC_DRAG = replace(
-    PENDULUM_QUADRATIC_DRAG,
-    parameters=(Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1),),
-    look_alikes=("viscous", "coulomb"),
+QUADRATIC_DRAG = Effect(
+    "quadratic_drag",
+    "force",
+    (Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1),),
+    quadratic_drag,
+    "air drag or turbulent oil: torque with the square of speed",
+    "a wide range of speeds",
+    ("viscous", "coulomb"),
+    formula="-drag v |v|",
     traits=Traits(family=True, resists=True),
 )
 
-FRICTION_DRIFT = replace(PENDULUM_FRICTION_DRIFT, traits=Traits(in_balance=False))
+FRICTION_DRIFT = Effect(
+    "friction_drift",
+    "force",
+    (
+        Quantity("viscous", "N m s/rad", -1.0, 1.0),
+        Quantity("dry", "N m", -1.0, 1.0),
+        Quantity("decay", "s", 0.05, 100.0, 2.0, shape=True, meaning="time to fall to a third"),
+    ),
+    friction_drift,
+    "friction that changes as the joint warms up within a trial",
+    "the same motion early and late in a trial",
+    ("coulomb", "quadratic_drag"),
+    grid=decays,
+    formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
+    traits=Traits(in_balance=False),
+)

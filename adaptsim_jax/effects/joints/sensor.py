@@ -1,10 +1,6 @@
-"""Between the motion of a joint and what its sensors say.
-
-First those of the double pendulum, then those of any machine. `t, q, v: [T, ...]` have time first,
+"""Between the motion of a joint and what its sensors say: `t, q, v: [T, ...]` have time first,
 parameters `[1, ...]`.
 """
-
-from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
@@ -94,51 +90,6 @@ def backlash(p, t, q, v, first):
     return reading, jnp.where(moving & ((q - reading) * v >= 0), v, 0.0 * v)
 
 
-def _gaps(reach, joint):
-    span = float(reach.q_high[joint] - reach.q_low[joint])
-    return [{"gap": g} for g in (0.003, 0.01, 0.03, 0.1) if g < 0.5 * span] or [
-        {"gap": 0.1 * span + 1e-4}
-    ]
-
-
-PENDULUM_ENCODER_OFFSET = Effect(
-    "encoder_offset",
-    "measurement",
-    (Quantity("offset", "rad", -0.8, 0.8),),
-    encoder_offset,
-    "the encoder's zero is not the model's",
-    "wide angles, so that gravity tells the true zero",
-    ("tilt", "bias"),
-    formula="reading = q + offset",
-)
-
-PENDULUM_SENSOR_LAG = Effect(
-    "sensor_lag",
-    "measurement",
-    (Quantity("lag", "s", 0.0, 0.1, sign=1),),
-    sensor_lag,
-    "angle and velocity come through a first-order filter",
-    "fast motion",
-    ("delay", "actuator_lag"),
-    jump=True,
-    formula="lag reading' = q - reading, of angle and velocity",
-)
-
-PENDULUM_BACKLASH = Effect(
-    "backlash",
-    "measurement",
-    (Quantity("gap", "rad", 0.0, 0.4, sign=1),),
-    backlash,
-    "play between the link and what its encoder turns with",
-    "many reversals, slow and fast",
-    ("presliding",),
-    smooth=False,
-    jump=True,
-    grid=_gaps,
-    formula="reading follows q at a distance of at most gap / 2",
-)
-
-
 def sensor_delay(p, t, q, v, first):
     """Cubics between rows; before the first row the motion had gone on at its first
     acceleration.
@@ -170,10 +121,15 @@ def encoder_scale(p, t, q, v, first):
     return (1.0 + p["scale"]) * q, (1.0 + p["scale"]) * v
 
 
-ENCODER_OFFSET = replace(
-    PENDULUM_ENCODER_OFFSET,
-    excitation="wide angles under gravity",
-    look_alikes=("bias", "tilt"),
+ENCODER_OFFSET = Effect(
+    "encoder_offset",
+    "measurement",
+    (Quantity("offset", "rad", -0.8, 0.8),),
+    encoder_offset,
+    "the encoder's zero is not the model's",
+    "wide angles under gravity",
+    ("bias", "tilt"),
+    formula="reading = q + offset",
     traits=Traits(in_balance=True, at_parents=True, prior=0.03),
 )
 
@@ -201,10 +157,15 @@ SENSOR_DELAY = Effect(
     traits=Traits(shared=True),
 )
 
-SENSOR_LAG = replace(
-    PENDULUM_SENSOR_LAG,
-    physics="angle and speed come through a first-order filter",
-    look_alikes=("sensor_delay", "delay"),
+SENSOR_LAG = Effect(
+    "sensor_lag",
+    "measurement",
+    (Quantity("lag", "s", 0.0, 0.1, sign=1),),
+    sensor_lag,
+    "angle and speed come through a first-order filter",
+    "fast motion",
+    ("sensor_delay", "delay"),
+    jump=True,
     grid=lags,
     formula="lag reading' = q - reading",
     traits=Traits(shared=True),
@@ -216,11 +177,16 @@ def _shares_of_range(reach, joint):
     return [{"gap": share * span} for share in (0.01, 0.04, 0.15)]
 
 
-BACKLASH = replace(
-    PENDULUM_BACKLASH,
-    excitation="many reversals",
-    look_alikes=("coulomb",),
-    smooth=True,
+BACKLASH = Effect(
+    "backlash",
+    "measurement",
+    (Quantity("gap", "rad", 0.0, 0.4, sign=1),),
+    backlash,
+    "play between the link and what its encoder turns with",
+    "many reversals",
+    ("coulomb",),
+    jump=True,
     slack="gap",
     grid=_shares_of_range,
+    formula="reading follows q at a distance of at most gap / 2",
 )

@@ -48,6 +48,7 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     or_files_gain,
     or_heavier,
     or_other_friction,
+    or_plain,
     or_rival,
     or_stepped,
     scale_shown,
@@ -198,10 +199,24 @@ def identified(
     if worse := _not_followed_better(whole, before, found, members):
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify, seen)
-    found = polished(whole, found.model)
+    notify("whole trials in finer steps")
+    whole, found = _in_settled_steps(whole, polished(whole, found.model))
     after = left_out_errors(whole, found)
     shown = gain_shown(whole, found), scale_shown(whole, found)
-    return ServoLaws(recording, found, members, before, after, whole, instead, *shown)
+    return ServoLaws(whole.recording, found, members, before, after, whole, instead, *shown)
+
+
+def _in_settled_steps(whole: WholeTrials, found: Polished) -> tuple[WholeTrials, Polished]:
+    """Whole trials in steps that are halved until this moves no joint by what counts beside the
+    noise, and the servos fitted to them.
+    """
+    for _ in range(CLOSED_LOOP.halvings):
+        finer = replace(whole, recording=whole.recording.restepped(0.5))
+        error = finer.errors([found.model.laws])[0]
+        if over_noise(whole, error - found.errors).max() < CLOSED_LOOP.stepped:
+            break
+        whole, found = finer, polished(finer, found.model, rounds=4)
+    return whole, found
 
 
 def _nothing_lacking(
@@ -263,6 +278,7 @@ def _of_whole_trials(
     stepped = [n for n in STEPPED if n != "shift" or not late]
     model = replace(model, shared=(*model.shared, *stepped))
     found = or_other_friction(whole, polished(whole, with_mass(whole.recording, model)))
+    found = or_plain(whole, found, file)
     file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
     found = or_files_gain(whole, or_stepped(whole, found, file), file)
     found = or_rival(whole, found, file)

@@ -207,11 +207,10 @@ class Recording:
         """Of the simulation of whole trials, s."""
         return float(self.model.opt.timestep)
 
-    @property
-    def coarser(self) -> "Recording":
-        """The same, whole trials in steps twice as long."""
+    def restepped(self, times: float) -> "Recording":
+        """The same, whole trials in steps so many times as long."""
         model = copy.copy(self.model)
-        model.opt.timestep = 2.0 * self.whole_step
+        model.opt.timestep = times * self.whole_step
         return replace(self, model=model)
 
 

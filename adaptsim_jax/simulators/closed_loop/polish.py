@@ -110,7 +110,7 @@ class WholeTrials:
         machines need it, in a third of the time.
         """
         if roughly:
-            paths = stepped(self.recording.coarser, machines)
+            paths = stepped(self.recording.restepped(2.0), machines)
         else:
             paths = simulated(self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]

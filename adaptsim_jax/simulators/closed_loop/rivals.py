@@ -12,6 +12,7 @@ from adaptsim_jax.simulators.closed_loop.fit import LawFit
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
 from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw, moved
 from adaptsim_jax.simulators.closed_loop.polish import (
+    SHARED_BY_ALL,
     FittedServos,
     Polished,
     WholeTrials,
@@ -30,6 +31,8 @@ def allowed_by_all(recording: Recording) -> list[str]:
 
 CARRIED = ("payload", "reach")
 """Of a mass at the hand."""
+OF_LAW = ("scale", "damping", "rub", "limit")
+"""Of a joint's servo itself."""
 RIVALS = (
     (("lift",), CARRIED),
     (CARRIED, ("lift",)),
@@ -82,6 +85,23 @@ def or_other_friction(whole: WholeTrials, found: Polished) -> Polished:
     fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in found.model.fits)
     rival = polished(whole, replace(found.model, fits=fits), rounds=2)
     if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
+        return rival
+    return found
+
+
+def or_plain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+    """Without gravity fed forward and what single joints were given beside their law, where a mass
+    at the hand does as well: pieces of single joints do not know of it.
+    """
+    model = found.model
+    more = [(j, n) for j, f in enumerate(model.fits) for n in f.free if n not in OF_LAW]
+    more += [(SHARED_BY_ALL, "lift")] * ("lift" in model.shared)
+    if not more or "payload" not in model.shared:
+        return found
+    start = without(whole, found, more, file)
+    fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
+    rival = polished(whole, replace(start, fits=fits))
+    if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
         return rival
     return found
 

@@ -67,7 +67,7 @@ def simulated(
     """Motion of each trial, by machine: angles and speeds [T, n] at its rows; NaN from where a
     simulation blew up. Accelerations are those of the speeds.
     """
-    fine, coarse = stepped(recording, machines), stepped(recording.coarser, machines)
+    fine, coarse = stepped(recording, machines), stepped(recording.restepped(2.0), machines)
     return [
         [_extrapolated(one, other) for one, other in zip(*both, strict=True)]
         for both in zip(fine, coarse, strict=True)

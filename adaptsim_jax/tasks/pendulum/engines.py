@@ -1,5 +1,5 @@
-"""The double pendulum in four engines behind one signature: our own, native MuJoCo, MJX, Drake; and
-these against each other.
+"""The double pendulum in three engines behind one signature: native MuJoCo, MJX, Drake; and these
+against each other.
 
 `simulate(params [B, 10], commands [B, T, 2], initial [B, 4])`: `PARAMETERS`; N m; rad and rad/s.
 """
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import importlib
 import os
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -20,9 +19,6 @@ from adaptsim_jax.core.constants import GRAVITY
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.core.progress import Report, silent
-from adaptsim_jax.mechanisms.closed_loop import broadcasts
-from adaptsim_jax.mechanisms.double_pendulum.plant import base_parameters, rigid_pendulum
-from adaptsim_jax.mechanisms.stepping import Instant, Sample, make_model, row_step
 from adaptsim_jax.tasks.engine import (
     EngineKind,
     Engines,
@@ -95,34 +91,6 @@ def finished(state: Any) -> Trajectory:
     """The trajectory of states `[B, T, 4]`, with code 1 where they ceased to be finite."""
     finite = np.isfinite(np.asarray(state)).all((1, 2))
     return Trajectory(state, np.where(finite, 0, 1))
-
-
-def make_rigid_body(dt: float):
-    """Our own rigid-body pendulum: the plant that mended models are made of, without effects."""
-    plant = rigid_pendulum("hanging", {"l1": 1.0, "g": GRAVITY}, {})
-
-    @jax.jit
-    @broadcasts
-    def run(params, commands, initial):
-        m1, m2, l1, _, c1, c2, i1, i2, b1, b2 = params.T
-        theta = base_parameters((m1, m2), l1, (c1, c2), (i1, i2), (b1, b2))
-        model = make_model(replace(plant, constants={**plant.constants, "l1": l1}), ())
-        sample = Sample(model, theta, jnp.zeros(0))
-        step = jnp.full_like(l1, dt)
-
-        def row(x, u):
-            x, _ = row_step(sample, Instant(x, (), u, 0.0), step)
-            return x, jnp.stack(x)
-
-        states = jax.lax.scan(row, list(initial.T), jnp.transpose(commands, (1, 2, 0)))[1]
-        return jnp.transpose(states, (2, 0, 1))
-
-    return lambda params, commands, initial: finished(
-        run(*map(jnp.asarray, (params, commands, initial)))
-    )
-
-
-RIGID_BODY = EngineKind(NoSettings, make_rigid_body)
 
 
 def make_native(dt: float):
@@ -253,7 +221,6 @@ def check_step(engine: str, dt: float) -> float:
 
 
 OURS = {
-    "rigid_body": f"{__name__}:RIGID_BODY",
     "native": f"{__name__}:NATIVE",
     "mjx": f"{__name__}:MJX",
     "drake": f"{__name__}:DRAKE",

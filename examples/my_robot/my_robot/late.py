@@ -17,7 +17,7 @@ def make_late(dt: float, rows: int):
     """`simulate(params [B, 10], commands [B, T, 2] N m, initial [B, 4]) -> Trajectory` in rows of
     `dt` s.
     """
-    simulate = make_backend("pendulum", "rigid_body", dt).simulate
+    simulate = make_backend("pendulum", "native", dt).simulate
 
     def late(params, commands, initial):
         waiting = np.zeros_like(commands[:, :rows])
