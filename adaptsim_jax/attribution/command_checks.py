@@ -7,7 +7,14 @@ import numpy as np
 from adaptsim_jax.attribution.criteria import TEXT
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.quality.commands import Cut, cut, exchanged, gains_by_trial, other_unit
+from adaptsim_jax.logs.quality.commands import (
+    Cut,
+    against,
+    cut,
+    exchanged,
+    gains_by_trial,
+    other_unit,
+)
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.hypotheses import Track
@@ -26,6 +33,12 @@ def check_commands(machine: Machine) -> tuple[AuditFinding, ...]:
     found = []
     for j in driven:
         stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
+        if stiff > 0 and against(tracks, j):
+            name = machine.tree.joint_names[j]
+            raise BadInput(
+                f"{machine.log.path}: the targets of {name} count against its angles, which go the "
+                f"other way; write target_{name} = -1 under [units] in meta.toml; {AS_DECLARED}"
+            )
         if stiff > 0 and (limited := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
             raise BadInput(
                 f"{machine.log.path}: "

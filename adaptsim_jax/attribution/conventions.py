@@ -23,6 +23,7 @@ from adaptsim_jax.logs.quality.contradictions import (
     contradiction,
     late_finding,
     lateness,
+    other_sides,
 )
 from adaptsim_jax.logs.quality.findings import Audit, AuditFinding
 from adaptsim_jax.logs.quality.hypotheses import (
@@ -69,10 +70,8 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     tree, log = machine.tree, machine.log
     program = _program(tree.n)
     if log.input_kind == "command" and not machine.mechanism.drives_beyond:
-        design = _design(tree, program)
         driven = [bool(gain) for gain in machine.actuator[0]]
-        orders = partial(_tracks, machine)
-        check_order(log.path, orders, design, tree.joint_names, tree.parent, driven)
+        _check_order(machine, _design(tree, program), driven, ("q", "target"))
     warnings = check_commands(machine)
     found = of_machine(machine)
     if found is None:
@@ -94,6 +93,10 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     zeros = [j for j, turns in enumerate(words.hinges) if turns]
     if other := contradiction(tracks, declared, words, more, _chain(tree), zeros):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
+    if log.input_kind == "torque":
+        driven = [name in log.driven for name in tree.joint_names]
+        _check_order(machine, declared, driven, ("q", "v", "tau"))
+        _check_sides(machine, tracks, declared)
     if log.input_kind in ("none", "torque"):
         warnings += check_pace(machine, tracks, declared)
         warnings += held_fast(machine, tracks, declared)
@@ -103,6 +106,31 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     if late is None:
         return warned
     return warned + late_finding(log.path, late, step, ("the input columns",), names_late_logs=True)
+
+
+def _check_order(
+    machine: Machine, design: Design, driven: list[bool], stems: tuple[str, ...]
+) -> None:
+    """See `order.check_order`, of the columns `stems` that the log has."""
+    if any(t.v is None for t in machine.tracks):
+        stems = tuple(stem for stem in stems if stem != "v")
+    tree, path = machine.tree, machine.log.path
+    orders = partial(_tracks, machine)
+    check_order(path, orders, design, tree.joint_names, tree.parent, driven, stems)
+
+
+def _check_sides(machine: Machine, tracks: list[Track], declared: Design) -> None:
+    """BadInput where torques of some joints are those of another side of their gears."""
+    names, path = machine.tree.joint_names, machine.log.path
+    told = {names[j]: size for j, size in other_sides(tracks, declared).items()}
+    if not told:
+        return
+    times = " and ".join(f"{size:.3g} times those of {name}" for name, size in told.items())
+    lines = " and ".join(f"tau_{name} = {1.0 / size:.3g}" for name, size in told.items())
+    raise BadInput(
+        f"{path}: the torques are {times} that move the declared masses (of a rotor, or another "
+        f"unit?); write {lines} under [units] in meta.toml; {AS_DECLARED}"
+    )
 
 
 def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[AuditFinding, ...]:

@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache, partial
+from operator import attrgetter
 from pathlib import Path as File
 from typing import Any
 
@@ -153,20 +154,40 @@ def replay(
     problem = giving(problem, machine.tree) if machine.gives else problem
     vector = vector if vector is not None else Vector((), np.zeros(0))
     found = replayed(problem, vector, span, roughly)
-    measures = dict(found.measures)
+    measures: dict[str, Measure | None] = dict(found.measures)
     if WHOLE in asked and horizon:
-        whole = replay(machine, 0.0, vector)
-        over: Any = whole.measures[STRETCHES]
-        measures[WHOLE] = dataclasses.replace(over, name=WHOLE)
+        measures[WHOLE] = _over_whole_trials(machine, vector)
     if TORQUE in asked:
         measures[TORQUE] = of_torque(problem, balances(problem, machine.tracks), vector)
-    return dataclasses.replace(found, measures=measures, notes=_shorter(horizon, span))
+    return dataclasses.replace(found, measures=measures, notes=_shorter(horizon, span, max(spans)))
 
 
-def _shorter(horizon: float, span: float) -> tuple[str, ...]:
+ALIKE = 1.25  # times the shortest of some trials, which are judged over its length together
+
+
+def _over_whole_trials(machine: Machine, vector: Vector) -> Measure:
+    """Medians over trials, each over its own length, or that of others that are nearly as short."""
+    alike: list[list[Any]] = []
+    for track in sorted(machine.tracks, key=attrgetter("span")):
+        if not alike or track.span > ALIKE * alike[-1][0].span:
+            alike.append([])
+        alike[-1].append(track)
+    parts = [replay(dataclasses.replace(machine, tracks=tracks), 0.0, vector) for tracks in alike]
+    spans = np.repeat([part.horizon for part in parts], [len(part.error) for part in parts])
+    error, line, still = (
+        np.median(np.concatenate([getattr(part, name) for part in parts]), 0)
+        for name in ("error", "line", "still")
+    )
+    one: Any = parts[0].measures[STRETCHES]
+    return Measure(WHOLE, float(np.median(spans)), error, line, still, one.joints, one.units)
+
+
+def _shorter(horizon: float, span: float, longest: float) -> tuple[str, ...]:
     """A note where stretches of `span` s are not as long as was asked for."""
     if horizon > span:
         return (f"no trial is {horizon:g} s long: stretches are of {span:.4g} s",)
+    if not horizon and longest > ALIKE * span:
+        return (f"trials are up to {longest:.4g} s long: all are cut to the shortest's {span:.4g}",)
     return ()
 
 

@@ -58,6 +58,15 @@ def write_json(path: str | os.PathLike, value: Any) -> None:
     write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
 
 
+POINTER = b"version https://git-lfs"
+
+
+def is_pointer(path: Path) -> bool:
+    """Whether a file is a pointer of Git LFS in the place of what it stands for."""
+    with path.open("rb") as file:
+        return file.read(len(POINTER)) == POINTER
+
+
 def without_nan(value: Any) -> Any:
     """Plain data (dicts, lists, numbers) with None where a float is not finite, for strict JSON has
     no such number.

@@ -91,7 +91,7 @@ class ModelEnvironment:
             qpos = at + 0.01 * jax.random.normal(key, at.shape)
             qvel = jnp.zeros(self.mj_model.nv)
         else:
-            qpos, qvel = self.start(key, at)
+            qpos, qvel = (jnp.asarray(x, at.dtype) for x in self.start(key, at))
             for name, x, count in (("qpos", qpos, at.size), ("qvel", qvel, self.mj_model.nv)):
                 if jnp.shape(x) != (count,):
                     raise BadInput(

@@ -16,6 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import model_angles
 from adaptsim_jax.logs.beside import copies, unread
 from adaptsim_jax.logs.columns import is_ignored, role, roles_of
+from adaptsim_jax.logs.counters import counted
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.inputs import Inputs, choose_inputs
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there, columns_of
@@ -27,15 +28,17 @@ from adaptsim_jax.logs.repeats import read_once
 from adaptsim_jax.logs.scales import check_log_units, check_scales
 from adaptsim_jax.logs.speeds import Written
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.words import WORDS, word_of
+from adaptsim_jax.logs.words import WORDS, unanswered, word_of
 
 
 def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: LogMeta) -> Log:
     """The `Log` of these raw trials. Raises `BadInput` where a joint, column or unit does not fit
     the model.
     """
-    raw = [_without_ignored(trial, meta, model) for trial in _selected(path, raw, meta)]
-    raw, worded = _decoded([_without_missing(trial, meta) for trial in raw])
+    raw = [counted(trial) for trial in _selected(path, raw, meta)]
+    raw = [_without_ignored(trial, meta, model) for trial in raw]
+    raw = [_without_missing(trial, meta) for trial in raw]
+    raw, worded = _decoded(raw)
     raw = [read_once(trial) for trial in raw]
     names = model or _names_in(raw[0])
     _check_meta_names(names, raw, meta)
@@ -247,16 +250,17 @@ def _without_ignored(trial: RawTrial, meta: LogMeta, model: ModelNames | None) -
 
 
 def _without_missing(trial: RawTrial, meta: LogMeta) -> RawTrial:
-    """The trial where a few rows lack numbers: what acts, acts on from the row before; rows
-    without a pose or a sensor are left out, and those before anything acts. Angles and speeds stay
-    NaN, but for a pendulum, whose rows are whole.
+    """The trial where a few rows lack numbers, or a register did not answer: what acts, acts on
+    from the row before; rows without a pose or a sensor are left out, and those before anything
+    acts. Angles and speeds are NaN, but for a pendulum, whose rows are whole.
     """
-    lacks = {name: np.isnan(x) for name, x in trial.columns.items()}
+    lacks = {name: np.isnan(x) | unanswered(x) for name, x in trial.columns.items()}
     some = {name: rows for name, rows in lacks.items() if 0 < rows.mean() <= TABLE.few}
     if not some:
         return trial
     columns, whole = dict(trial.columns), np.ones(len(trial.lines), bool)
     for name, rows in some.items():
+        columns[name] = np.where(rows, np.nan, columns[name])
         found = role(name)
         if meta.rig is not None or (found and found.stem in ("time", "base", "channel")):
             whole &= ~rows

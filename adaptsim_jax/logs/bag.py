@@ -186,7 +186,10 @@ def _protobuf(path: Path, schema: Any) -> Decoder:
     return factory.GetMessageClass(pool.FindMessageTypeByName(schema.name)).FromString
 
 
-ENDINGS = (".bag", ".mcap", ".db3")
+ENDINGS = (".bag", ".mcap", ".db3", ".active")
+REINDEX = "mend it by 'rosbag reindex'"
+MENDS = {".mcap": "mend it by 'mcap recover'", ".bag": REINDEX, ".active": REINDEX}
+"""Of bags that cannot be read; `.bag.active` is one that was being recorded."""
 
 
 def bags(path: Path) -> list[Path]:
@@ -234,9 +237,7 @@ def opened(path: Path) -> Iterator[Bag]:
     # the libraries raise many kinds for damaged bytes: struct, sqlite, yaml, assertions
     except Exception as error:
         why = " ".join(str(error).split())[:120] or type(error).__name__
-        mend = {".mcap": "mend it by 'mcap recover'", ".bag": "mend it by 'rosbag reindex'"}.get(
-            path.suffix, "record it again"
-        )
+        mend = MENDS.get(path.suffix, "record it again")
         raise BadInput(
             f"{path}: is no readable bag ({why}); {mend}, or convert it to CSV"
         ) from None

@@ -24,6 +24,8 @@ def key_of(table: str) -> dict[str, str]:
 TIME = ("time", "t", "timestamp", "time_s", "stamp")
 NANOS = "time_nanos"
 """The column of nanoseconds that are added to a time of whole seconds."""
+COUNTERS = SPELLINGS["counters"]["names"]
+"""Of rows, as they were taken."""
 TRIAL = ("trial", "episode", "episode_index")
 BASE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 """Columns `base_x` .. `base_qz`: where a free base is (m), and its orientation as a unit

@@ -44,6 +44,7 @@ class ClockCriteria:
     contradicts: float = 3.0  # such steps that another sender's angles may be off
     leap: float = 0.2  # of an angle's range between two messages: no joint goes so far
     leaps: float = 0.02  # of the messages that do, and the next one back: no joint, nor a wrap
+    fewer: float = 0.34  # of the messages, that another sender has at most
 
 
 @dataclass(frozen=True)
@@ -296,6 +297,7 @@ class WordCriteria:
 
     leap: float = 512.0  # that readings leap by: a joint goes so far between no two rows
     left: float = 0.25  # of the largest leap, that words taken otherwise may leave
+    far: float = 5.0  # usual steps, farther than which no reading lies from both beside it
 
 
 @dataclass(frozen=True)

@@ -266,12 +266,17 @@ def _check_next_rows(trials: list[JointColumns], names: ModelNames) -> None:
         if stem != "target" or any(("q", j) not in t.written for t in trials):
             continue
         pairs = [(t.written["q", j], t.written[stem, j]) for t in trials if (stem, j) in t.written]
-        q, u, after = (
+        q, after, then, u = (
             np.concatenate(parts)
-            for parts in zip(*((q[:-1], u[:-1], q[1:]) for q, u in pairs), strict=True)
+            for parts in zip(*((q[:-2], q[1:-1], q[2:], u[:-2]) for q, u in pairs), strict=True)
         )
         moves = after != q
-        for what, value in (("the angle of the next row", after), ("the step to it", after - q)):
+        for what, value in (
+            ("the angle of the next row", after),
+            ("the step to it", after - q),
+            ("the angle itself", q),
+            ("the angle two rows later", then),
+        ):
             near = np.abs(u - value) <= COMMAND.rounding * np.max(np.abs(q), initial=0.0)
             if moves.sum() >= COMMAND.min_blocks and np.mean(near[moves]) > COMMAND.next_rows:
                 raise BadInput(

@@ -166,6 +166,8 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
         )
     check_clock(path, time, rows, word)
     columns = {"time": time}
+    if "frame_index" in arrays:
+        columns["frame_index"] = arrays["frame_index"].ravel()
     doubt: dict[str, str] = {}
     for name, stem in STEMS.items():
         if name in arrays:

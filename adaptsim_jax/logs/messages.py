@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -145,6 +145,18 @@ def joints_of(topic: Topic, message: Any) -> tuple[str, ...]:
         goal = getattr(message, "goal", None)
         return tuple((message if goal is None else goal.trajectory).joint_names)
     return (STATES | COMMANDED)[topic.kind](message)[0]
+
+
+def in_model(topic: str, names: Sequence[str], joints: Collection[str]) -> tuple[str, ...]:
+    """Names of a topic's joints as the model has them: as they are, or with a part of the topic's
+    name before each where the model knows all of them so, and none as it is (`left_elbow`, said as
+    `elbow` on `/left/joint_states`).
+    """
+    if not set(names) & set(joints):
+        for part in topic.split("/"):
+            if set(whole := tuple(f"{part}_{name}" for name in names)) <= set(joints):
+                return whole
+    return tuple(names)
 
 
 def stamp_of(message: Any) -> int:
@@ -305,10 +317,10 @@ def _state_topics(
     if len(measured) > 1:
         measured = sorted(measured, key=lambda t: (len(knows(t)), t.count), reverse=True)
     taken = _of_other_joints(measured, knows)
-    reported = f"state taken from topic {_listed(taken)} of {_listed(states)}"
-    if left := [topic for topic in states if topic not in taken]:
+    reported = f"state taken from topic {_listed(taken)} of {_listed(measured)}"
+    if left := [topic for topic in measured if topic not in taken]:
         reported += f", left out: {_listed(left)}; state_topic names others, or a list of them"
-    return taken, (reported,) if len(states) > 1 else ()
+    return taken, (reported,) if len(measured) > 1 else ()
 
 
 def _what(topic: Topic) -> str:

@@ -18,7 +18,8 @@ import numpy as np
 
 from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs import command_files, readers
+from adaptsim_jax.core.files import is_pointer
+from adaptsim_jax.logs import bag, command_files, readers
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.log import Log, ModelNames, followed, model_names
@@ -30,6 +31,8 @@ if TYPE_CHECKING:
     from adaptsim_jax.mechanisms.spec import Source
 
 META = "meta.toml"
+FETCHED = (*ENDINGS, *bag.ENDINGS, ".parquet", ".json", ".jsonl")
+"""Endings of files that must hold data; a data set's videos need not be there."""
 
 
 def read_log(
@@ -155,6 +158,8 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     gone = [path for path in (*files, *(p for _, p in others)) if not whole and out(_stem(path))]
     files = [path for path in files if path not in gone]
     others = [(reader, path) for reader, path in others if path not in gone]
+    for path in (*files, *(p for _, p in others)):
+        _check_fetched(path)
     wanted = _wanted(meta, names, out)
     recorded: list[RawTrial] = []
     for reader, path in others:
@@ -168,6 +173,13 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
     if len(files) < len(trials) and not whole:
         trials = _named_by_file(trials)
     return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
+
+
+def _check_fetched(path: Path) -> None:
+    """BadInput where a file, or one of a data set, is a pointer of Git LFS."""
+    for part in path.rglob("*") if path.is_dir() else (path,):
+        if part.suffix in FETCHED and part.is_file() and is_pointer(part):
+            raise BadInput(f"{part}: is a pointer of Git LFS, no data; fetch it by 'git lfs pull'")
 
 
 def _tables(data: Path, meta: LogMeta) -> tuple[list[Path], dict[str, Path]]:

@@ -17,26 +17,42 @@ STATES = ("q", "v", "base", "channel")
 
 def read_once(trial: RawTrial) -> RawTrial:
     """The trial with each reading once, at the row in which it came; what acts, acts until the next
-    one by its mean. As it is where readings do not stand in about as many rows each.
+    one by its mean. Joints that are read in turn come onto one clock. As it is where readings do
+    not stand in about as many rows each.
     """
     roles = roles_of(trial.columns)
     clock = next((name for name, found in roles.items() if found.stem == "time"), None)
-    angles = [trial.columns[name] for name, found in roles.items() if found.stem == "q"]
+    angles = {found.joint: name for name, found in roles.items() if found.stem == "q"}
     if clock is None or not angles:
         return trial
-    rows, count = _first_rows(np.stack(angles, 1))
-    if not count:
+    for groups in ([list(angles)], [[joint] for joint in angles]):
+        first = [
+            _first_rows(np.stack([trial.columns[angles[joint]] for joint in group], 1))
+            for group in groups
+        ]
+        if all(count for _, count in first):
+            break
+    else:
         return trial
-    acts = {n: x for n, x in trial.columns.items() if n in roles and roles[n].stem not in STATES}
-    acts.pop(clock)
-    lasting = {n: x[rows] for n, x in trial.columns.items() if n not in acts and n != clock}
-    lasting[LINE] = trial.lines[rows].astype(float)
-    time = trial.columns[clock]
-    commands = [Series(time, acts)] if acts else []
-    out, _ = merge(trial.path, [Series(time[rows], lasting)], commands)
+    time, states = trial.columns[clock], []
+    whose = {joint: k for k, group in enumerate(groups) for joint in group}
+    for k, (rows, _) in enumerate(first):
+        own = {} if states else {LINE: trial.lines[rows].astype(float)}
+        for name, found in roles.items():
+            if found.stem in STATES and whose.get(found.joint, 0) == k:
+                own[name] = trial.columns[name][rows]
+        states.append(Series(time[rows], own))
+    read = {clock, *(name for series in states for name in series.columns)}
+    acts = {name: trial.columns[name] for name in roles if name not in read}
+    out, _ = merge(trial.path, states, [Series(time, acts)] if acts else [])
     lines = np.round(out.pop(LINE)).astype(np.int64)
-    columns = {clock: time[rows][-len(lines) :]} | {n: x for n, x in out.items() if n != "time"}
-    note = f"each reading stands in about {count:.3g} rows: taken once, at the first of them"
+    main = max(states, key=lambda series: len(series.time)).time
+    begin = np.searchsorted(main, max(series.time[0] for series in states))
+    columns = out | {"time": main[begin : begin + len(lines)]}
+    turns = ", joints in turn" if len(groups) > 1 else ""
+    times = f"each reading stands in about {np.mean([count for _, count in first]):.3g} rows"
+    note = f"{times}{turns}: taken once, at the first of them"
+    columns = {clock: columns.pop("time")} | columns
     return replace(trial, columns=columns, lines=lines, notes=(*trial.notes, note))
 
 

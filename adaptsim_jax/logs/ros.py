@@ -30,6 +30,7 @@ from adaptsim_jax.logs.messages import (
     TRAJECTORIES,
     Asked,
     choose,
+    in_model,
     joints_of,
     nanoseconds,
     stamp_of,
@@ -37,7 +38,7 @@ from adaptsim_jax.logs.messages import (
 from adaptsim_jax.logs.quality.commands import unexplained
 from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.readers import Reader, Wanted
-from adaptsim_jax.logs.senders import Message, one_sender
+from adaptsim_jax.logs.senders import Message, one_commander, one_sender
 from adaptsim_jax.logs.tables import RawTrial
 from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
 
@@ -71,7 +72,7 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
         states, commanded, notes = choose(
             path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
         )
-        series, clock, reported = _states(path, bag, states)
+        series, clock, reported = _states(path, bag, states, wanted.joints)
         notes += reported
         series, left = _of_the_model(series, wanted)
         notes += left
@@ -117,7 +118,8 @@ def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> set[str]:
     if not joints:
         return set()
     first = itertools.islice(bag.messages(topic.name), CLOCK.first)
-    return set(joints) & {name for _, message in first for name in joints_of(topic, message)}
+    named = (in_model(topic.name, joints_of(topic, message), joints) for _, message in first)
+    return set(joints).intersection(set().union(*named))
 
 
 def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]]:
@@ -133,11 +135,11 @@ def _messages(bag: Bag, topic: Topic) -> tuple[np.ndarray, np.ndarray, list[Any]
 
 
 def _states(
-    path: Path, bag: Bag, topics: Sequence[Topic]
+    path: Path, bag: Bag, topics: Sequence[Topic], joints: Collection[str]
 ) -> tuple[list[Series], Clock, tuple[str, ...]]:
     """What topics of states say, on the clock of the first of them."""
     whose: dict[str, str] = {}
-    found = [_state(bag, topic) for topic in topics]
+    found = [_state(bag, topic, joints) for topic in topics]
     for topic, (rows, *_) in zip(topics, found, strict=True):
         if not rows:
             raise BadInput(
@@ -162,11 +164,16 @@ def _states(
     return series, Clock(times.stamped, first, late), notes
 
 
-def _state(bag: Bag, topic: Topic) -> tuple[list[Message], Stamped, tuple[str, ...]]:
+def _state(
+    bag: Bag, topic: Topic, joints: Collection[str]
+) -> tuple[list[Message], Stamped, tuple[str, ...]]:
     """The messages of a topic that are taken, their times, and what was made of them."""
     arrived, stamps, messages = _messages(bag, topic)
     read = STATES[topic.kind]
-    stated = [(names if any(names) else (), values) for names, values in map(read, messages)]
+    stated = [
+        (in_model(topic.name, names, joints) if any(names) else (), values)
+        for names, values in map(read, messages)
+    ]
     notes: list[str] = []
     if twice := next((n for names, _ in stated for n in names if names.count(n) > 1), None):
         raise BadInput(
@@ -251,18 +258,19 @@ def _commands(
                 begins = nanoseconds(m.goal.trajectory.header.stamp)
             else:
                 begins = s
-            plans.append(
-                plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a))
-            )
+            plan = plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a))
+            plans.append(replace(plan, joints=in_model(topic.name, plan.joints, wanted.joints)))
         return _trajectory(path, topic, plans, states, wanted, notes)
     read = COMMANDED[topic.kind]
     times = np.where(own, stamps, came)
     rows = []
     for time, m in zip(times.tolist(), messages, strict=True):
         names, values = read(m)
+        names = in_model(topic.name, names, wanted.joints)
         most = max((len(x) for x in values.values()), default=0)
         rows.append((since(time), names or tuple(str(i) for i in range(1, most + 1)), values))
-    return _series(rows), tuple(notes)
+    rows, reported = one_commander(topic.name, rows)
+    return _series(rows), (*notes, *reported)
 
 
 def _trajectory(

@@ -46,6 +46,31 @@ def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tupl
     return [row for k, row in enumerate(rows) if k not in out], tuple(notes)
 
 
+def one_commander(topic: str, rows: list[Message]) -> tuple[list[Message], tuple[str, ...]]:
+    """Commands without those of another sender that lie between the others in time and leap from
+    them and back, and a note on these.
+    """
+    shapes = {(names, *((stem, len(x)) for stem, x in values.items())) for _, names, values in rows}
+    if len(shapes) != 1 or len(rows) < CLOCK.min_stamps:
+        return rows, ()
+    time = np.array([row[0] for row in rows])
+    u = np.nan_to_num([np.concatenate([*row[2].values()]) for row in rows])
+    other = np.zeros(len(rows), bool)
+    other[1:-1] = np.any(_back(u, CLOCK.leap * np.ptp(u, axis=0)), axis=1)
+    if not CLOCK.leaps < np.mean(other) < CLOCK.fewer or np.ptp(u) < SIGNAL.moving:
+        return rows, ()
+    between = time[2:] - time[:-2] < CLOCK.dense * np.median(np.diff(time[~other]))
+    if np.mean(between[other[1:-1]]) < CLOCK.usual_steps:
+        return rows, ()
+    steps = np.quantile(np.abs(np.diff(u[~other], axis=0)), CLOCK.usual_steps, axis=0)
+    other[1:-1] = between & np.any(_back(u, CLOCK.contradicts * steps), axis=1)
+    note = (
+        f"topic {topic}: {other.sum()} messages of another sender lie between the "
+        f"{np.sum(~other)} others and contradict them: left out"
+    )
+    return [row for row, out in zip(rows, other, strict=True) if not out], (note,)
+
+
 def _angles(
     rows: Sequence[Message], own: Sequence[int], joints: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -75,7 +100,12 @@ def _leaps(q: np.ndarray) -> bool:
     if len(q) < CLOCK.min_stamps:
         return False
     span = np.ptp(q, axis=0)
+    often = np.mean(_back(q, CLOCK.leap * span), axis=0) > CLOCK.leaps
+    return bool(np.any(often & (span > SIGNAL.moving)))
+
+
+def _back(q: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Where values `[K, n]` leap by more than `least [n]`, and back at once `[K - 2, n]`."""
     step = np.diff(q, axis=0)
-    leaps = np.abs(step) > CLOCK.leap * span
-    back = leaps[:-1] & leaps[1:] & (step[:-1] * step[1:] < 0)
-    return bool(np.any((np.mean(back, axis=0) > CLOCK.leaps) & (span > SIGNAL.moving)))
+    leaps = np.abs(step) > least
+    return leaps[:-1] & leaps[1:] & (step[:-1] * step[1:] < 0)

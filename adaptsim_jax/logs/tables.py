@@ -15,7 +15,7 @@ from adaptsim_jax.core.config import suggest
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.archive import STEMS, is_list, read_archive, stem_and_place
 from adaptsim_jax.logs.beside import left_out, strays
-from adaptsim_jax.logs.columns import NANOS, TIME, TRIAL, is_ignored, role
+from adaptsim_jax.logs.columns import COUNTERS, NANOS, TIME, TRIAL, is_ignored, role
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
 from adaptsim_jax.logs.log_meta import LogMeta
@@ -154,7 +154,7 @@ def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
     wanted = [
         column
         for column, ours in named.items()
-        if role(ours) is not None and not is_ignored(ours, meta.ignore)
+        if (role(ours) is not None or ours in COUNTERS) and not is_ignored(ours, meta.ignore)
     ]
     labels = next((column for column in wanted if named[column] in TRIAL), None)
     timed = any(named[column] in TIME for column in wanted)

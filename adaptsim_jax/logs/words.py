@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from adaptsim_jax.logs.criteria import WORD
+from adaptsim_jax.logs.criteria import CLOCK, TABLE, WORD
 
 
 def _sign_bit(x: np.ndarray, top: float) -> np.ndarray:
@@ -44,6 +44,25 @@ def word_of(parts: Sequence[np.ndarray]) -> str:
     read = {how: [way(x) for x in raw] for how, way in WORDS.items()}
     good = [how for how, own in read.items() if _leap(own) < WORD.left * leap]
     return min(good, key=lambda h: sum(np.sum(np.abs(np.diff(x))) for x in read[h]), default="")
+
+
+UNANSWERED = (-1.0, 2.0**16 - 1, 2.0**32 - 1)
+"""All bits set: what a bus hands on that was not answered."""
+
+
+def unanswered(x: np.ndarray) -> np.ndarray:
+    """Rows `[T]` in which a register was not read: a few with all bits set, far from the readings
+    before and after, which agree. None where readings are no whole numbers.
+    """
+    own = np.isfinite(x) & ~np.isin(x, UNANSWERED)
+    raw = x[own]
+    if not 0 < np.mean(~own) <= TABLE.few or np.any(raw != np.round(raw)):
+        return np.zeros(len(x), bool)
+    far = WORD.far * max(float(np.quantile(np.abs(np.diff(raw)), CLOCK.usual_steps)), 1.0)
+    count = np.cumsum(own)
+    before, after = raw[np.maximum(count - 1, 0)], raw[np.minimum(count, len(raw) - 1)]
+    near = np.minimum(np.abs(x - before), np.abs(x - after))
+    return ~own & (near > far) & (np.abs(before - after) <= far)
 
 
 def _leap(parts: Sequence[np.ndarray]) -> float:

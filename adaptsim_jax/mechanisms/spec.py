@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.core.files import is_pointer
 from adaptsim_jax.mechanisms.switches import switch_off
 from adaptsim_jax.mechanisms.urdf import Follower, is_urdf, urdf_for_mujoco
 
@@ -187,13 +188,10 @@ def _without_files(spec: mujoco.MjSpec) -> None:
         spec.delete(item)
 
 
-POINTER = b"version https://git-lfs"
-
-
 def _pointer(spec: mujoco.MjSpec) -> str:
     """A file of a mesh that is a pointer of Git LFS; '' for none."""
     for mesh in spec.meshes:
         path = Path(spec.modelfiledir, spec.meshdir, mesh.file)
-        if path.is_file() and path.read_bytes()[: len(POINTER)] == POINTER:
+        if path.is_file() and is_pointer(path):
             return str(path)
     return ""

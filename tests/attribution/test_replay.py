@@ -57,3 +57,16 @@ def test_units_that_the_motion_contradicts_are_told(data, tmp_path, capsys):
     assert cli.main(["replay", str(wrong / "model.xml"), str(wrong)]) == 0
     shown = " ".join(capsys.readouterr().out.split())
     assert "note: " in shown and "torques in mN m" in shown and "--as-declared" not in shown
+
+
+def test_whole_trials_of_unlike_length_are_each_judged_over_their_own(tmp_path):
+    record(tmp_path / "short", friction=0.15, trials=1, seconds=2.0)
+    data = record(tmp_path / "both", friction=0.15, trials=1, seconds=5.0)
+    (data / "short.csv").write_text(next((tmp_path / "short").glob("*.csv")).read_text())
+    both = replay_files(None, data, asked=("whole",)).measures["whole"]
+    apart = [
+        replay_files(None, folder, asked=("whole",)).measures["whole"]
+        for folder in (tmp_path / "short", record(tmp_path / "long", 0.15, trials=1, seconds=5.0))
+    ]
+    assert both.span == pytest.approx(np.mean([m.span for m in apart]), rel=1e-3)
+    np.testing.assert_allclose(both.error, np.mean([m.error for m in apart], 0), rtol=1e-2)

@@ -95,7 +95,7 @@ def test_a_gripper_has_a_scale_of_its_own(tmp_path, known):
     def share(x, g):
         return np.column_stack([np.degrees(x), 100 * (g - low) / (high - low)])
 
-    data_set(tmp_path / "set", share(Q, grip), share(U, grip), [f"{n}.pos" for n in joints])
+    data_set(tmp_path / "set", share(Q, grip), share(U, grip + 0.1), [f"{n}.pos" for n in joints])
     model = names_of(joints, (None, None, (low, high) if known else None))
     told = read_log(meta(tmp_path / "deg", '[units]\nangle = "deg"\n'), model)
     (note,) = [n for n in told.notes if "grippers as 0 to 100" in n]
@@ -104,7 +104,7 @@ def test_a_gripper_has_a_scale_of_its_own(tmp_path, known):
     line = line.replace("LOW", str(low)).replace("HIGH", str(high))
     log = read_log(meta(tmp_path / "mended", f'[units]\nangle = "deg"\n{line}\n'), model)
     np.testing.assert_allclose(log.trials[0].q, np.column_stack([Q, grip]), atol=1e-5)
-    np.testing.assert_allclose(log.trials[0].u, np.column_stack([U, grip]), atol=1e-5)
+    np.testing.assert_allclose(log.trials[0].u, np.column_stack([U, grip + 0.1]), atol=1e-5)
     from adaptsim_jax.logs.guess import guess
     from adaptsim_jax.logs.lerobot import read_lerobot
     from adaptsim_jax.logs.readers import Wanted

@@ -251,7 +251,7 @@ def test_what_was_commanded_is_kept_beside_what_was_measured(tmp_path):
 
 
 def test_meta_says_which_of_several_inputs_counts(tmp_path):
-    columns = numbered(M | {"target": M["q"]}, "q", "tau", "target")
+    columns = numbered(M | {"target": 1.1 * M["q"]}, "q", "tau", "target")
     assert read_log(folder(tmp_path / "a", "", t=columns), ARM).input_kind == "torque"
     log = read_log(folder(tmp_path / "b", 'input = "command"\n', t=columns), ARM)
     assert log.input_kind == "command"
@@ -399,7 +399,7 @@ def test_the_old_task_is_told_from_a_mechanism(tmp_path):
             'write velocity = "deg/s"',
         ),
         (
-            lambda c: {"time": c["time"], **numbered(M | {"target": M["q"]}, "q", "target")},
+            lambda c: {"time": c["time"], **numbered(M | {"target": 1.1 * M["q"]}, "q", "target")},
             "has a target, but its actuator 'm1'",
         ),
         (lambda c: c | {"q": c["q1"]}, "column 'q' names no joint, but the model has 2"),
@@ -428,7 +428,7 @@ def test_trials_that_differ_in_their_input(tmp_path):
 def test_targets_without_an_actuator(tmp_path):
     names = ModelNames(ARM, actuators=())
     message = refused(
-        folder(tmp_path, "", t=numbered(M | {"target": M["q"]}, "q", "target")), names
+        folder(tmp_path, "", t=numbered(M | {"target": 1.1 * M["q"]}, "q", "target")), names
     )
     assert "the model has no actuator; add <actuator>" in message
 

@@ -93,7 +93,7 @@ def test_a_belt_in_millimetres(tmp_path, headings, named):
 def test_ways_far_beyond_the_declared_range_are_refused_and_read_as_advised(
     tmp_path, times, units, capsys
 ):
-    table = {"time": TIME, "q_belt": 0.4 * times * SWING, "target_belt": 0.4 * times * SWING}
+    table = {"time": TIME, "q_belt": 0.4 * times * SWING, "target_belt": 0.41 * times * SWING}
     data = folder(tmp_path / "a", 'model = "slider.xml"\n', run=table)
     (data / "slider.xml").write_text(SLIDER.format(RANGE))
     assert main(["diagnose", str(data), "--out", str(tmp_path / "out")]) == 2
@@ -113,7 +113,7 @@ def test_ways_far_beyond_the_declared_range_are_refused_and_read_as_advised(
 
 @pytest.mark.parametrize(("reach", "limits"), [(2.0, (-0.4, 0.4)), (50.0, None)])
 def test_ways_that_may_be_no_metres_are_told(tmp_path, reach, limits):
-    table = {"time": TIME, "q_a": reach * SWING, "target_a": reach * SWING}
+    table = {"time": TIME, "q_a": reach * SWING, "target_a": 1.01 * reach * SWING}
     log = read_log(folder(tmp_path, "", run=table), servo(limits, slides=True))
     assert any('if that is no metres, write length = "mm"' in note for note in log.notes)
     within = read_log(folder(tmp_path / "b", "", run=table), servo((-100.0, 100.0), slides=True))

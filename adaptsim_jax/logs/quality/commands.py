@@ -44,6 +44,15 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
     return float(x[0] / size[0]), float(error / size[0]), _share(left, a)
 
 
+def against(tracks: Sequence[Track], joint: int) -> bool:
+    """Whether a servo pulls away from its target, which counts against the angle."""
+    found = servo_gain([one(t, joint) for t in drawn(tracks)])
+    if found is None:
+        return False
+    gain, error, left = found
+    return gain < -COMMAND.gain_errors * error and left < COMMAND.believed
+
+
 def _system(tracks: Sequence[Track]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Accelerations `[K]`, columns `[K, 6]` of unit size, and their sizes `[6]`.
 

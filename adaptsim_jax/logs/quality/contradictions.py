@@ -24,6 +24,7 @@ from adaptsim_jax.logs.quality.hypotheses import (
     Track,
     linear_fit,
     motion_of,
+    rubbing,
     stated,
     unexplained,
 )
@@ -123,6 +124,28 @@ def contradiction(
                 return None
             return Contradiction(best.name, best.statement, best.mend, left, other)
     return None
+
+
+def other_sides(tracks: Sequence[Track], design: Design) -> dict[int, float]:
+    """Joints whose logged torque is another number of times the one that moves the declared
+    masses; none where that does not explain the motion far better than it is.
+    """
+    motion = motion_of(tracks)
+    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+        return {}
+    left = unexplained(motion, design)
+    columns, rubs = design(motion, True), rubbing(motion)
+    most = min(CONTRADICTION.explains, left / CONTRADICTION.times)
+    sizes, n = {}, motion.q.shape[1]
+    for j in range(n if left > CONTRADICTION.doubted else 0):
+        tau, own = motion.tau[:, j], rubs[:, j, 4 * j : 4 * j + 3]
+        own = np.column_stack([columns[:, j, :n].sum(1), motion.a[:, j], own])
+        x = np.linalg.lstsq(own, tau, rcond=1e-9)[0]
+        if np.var(tau - own @ x) > most * np.var(tau):
+            return {}
+        if x[0] < 0 or abs(np.log(x[0])) > np.log(CONTRADICTION.same_size):
+            sizes[j] = float(x[0])
+    return sizes
 
 
 def _simplest(

@@ -3,7 +3,6 @@ arrays without names say nothing of it, and simulators have orders of their own.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
@@ -17,23 +16,14 @@ Order = tuple[int, ...]
 """The column that holds each joint of the model."""
 
 
-@dataclass(frozen=True)
-class Reordered:
-    """`order` leaves `other` of the torque's square where the declared one leaves `left`."""
-
-    order: Order
-    left: float
-    other: float
-
-
 def other_order(
     tracks: Callable[[Order], Sequence[Track]],
     design: Design,
     orders: Sequence[Order],
     driven: Sequence[bool],
-) -> Reordered | None:
-    """The order of columns that the motion follows in place of the model's; None where that does,
-    or where none explains it.
+) -> tuple[float, float, Order] | None:
+    """The order of columns that the motion follows in place of the model's, after the shares of
+    the torque's square that this and that leave; None where none explains the motion.
 
     Args:
         tracks: The trials with joints from these columns, and the torques of their drives then.
@@ -63,7 +53,7 @@ def other_order(
         best = found
     least = CONTRADICTION.times if declared >= CONTRADICTION.doubted else CONTRADICTION.clearly
     if best[0] <= CONTRADICTION.explains and best[0] * least <= declared:
-        return Reordered(best[1], declared, best[0])
+        return declared, *best
     return None
 
 
@@ -94,21 +84,23 @@ def check_order(
     names: Sequence[str],
     parents: Sequence[int],
     driven: Sequence[bool],
+    stems: Sequence[str],
 ) -> None:
-    """BadInput where a machine's columns, angles and targets together, are in another order than
-    its joints `names`, of which each hangs at that of `parents`.
+    """BadInput where a machine's columns of these `stems` together are in another order than its
+    joints `names`, of which each hangs at that of `parents`.
     """
     if len(names) < 2:
         return
     found = other_order(tracks, design, usual_orders(parents, names), driven)
     if found is None:
         return
-    there = ", ".join(names[j] for j in np.argsort(found.order))
-    places = {s: ", ".join(f'"{s}[{k}]"' for k in found.order) for s in ("q", "target")}
+    left, other, order = found
+    there = ", ".join(names[j] for j in np.argsort(order))
+    places = {s: ", ".join(f'"{s}[{k}]"' for k in order) for s in stems}
     lines = " and ".join(f"{stem} = [{own}]" for stem, own in places.items())
     raise BadInput(
-        f"{path}: angles and targets look to be in the order {there} (which leaves "
-        f"{100 * found.other:.2g} % of the torque's square unexplained, the model's order "
-        f"{100 * found.left:.2g} %); write {lines} under [columns] in meta.toml where they are "
+        f"{path}: {' and '.join(stems)} look to be in the order {there} (which leaves "
+        f"{100 * other:.2g} % of the torque's square unexplained, the model's order "
+        f"{100 * left:.2g} %); write {lines} under [columns] in meta.toml where they are "
         f"arrays, or exchange the names of columns; {AS_DECLARED}"
     )

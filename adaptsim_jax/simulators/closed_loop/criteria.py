@@ -45,8 +45,9 @@ class ClosedLoopCriteria:
     settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
     shared: int = 4  # numbers that all joints share, at most
     own: int = 2  # numbers of one joint beside its law, at most
-    # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios
-    scale_known: float = 0.05
+    # spread of the logarithm of kp, the rotor free, up to which kp is known and not only ratios:
+    # steps and rounding that repeats move it by up to four times as much, a seventh
+    scale_known: float = 0.03
     # times kp, or the whole scale: a joint that is simulated alike by that does not show it
     other_gain: float = 1.3
     clearly: float = 0.1  # of the squared error (log), that such a law must leave more at least
