@@ -72,6 +72,7 @@ WITHIN = {
         "roles",
         "transmission",
         "mjcf",
+        "allowed",
         "plant",
         "double_pendulum",
         "registry",
