@@ -92,7 +92,7 @@ def read_after(folder: str | Path) -> After:
         for name, row in report["error"]["per_channel"].items()
         if row["unit"] in ("N m", "N")
     }
-    seen = {(row["name"], row["where"]): row.get("seen_from") for row in report["power"]}
+    seen = {(row["name"], row["where"]): row["size"] for row in report["power"]}
     return After(str(path), table, left, seen)
 
 
@@ -128,7 +128,7 @@ def _losses(tables: Sequence[Sequence[Mapping[str, Any]]]) -> np.ndarray:
     """The criterion by motion. What one does not show at all counts as thrice the largest size at
     which another shows it; what none shows does not count.
     """
-    sizes = np.array([[row["apart_from"] or np.nan for row in table] for table in tables], float)
+    sizes = np.array([[row["alone"] or np.nan for row in table] for table in tables], float)
     sizes = sizes[:, np.isfinite(sizes).any(0)]
     return np.mean(np.log(np.where(np.isnan(sizes), 3.0 * np.nanmax(sizes, 0), sizes)), 1)
 

@@ -69,9 +69,9 @@ def shown(
         criteria: Those of the diagnosis.
 
     Returns:
-        `{name, where, unit, seen_from, apart_from, rival, power}`. Of recordings with the effect at
-        size `seen_from` the share `power` misses torque; from `apart_from` on it is told from
-        `rival`. None: at no size in its range.
+        `{name, where, size, unit, power, alone, rival}`. Of recordings with the effect at `size`
+        the share `power` names it; from `alone` on by itself, told from `rival`. None: at no size
+        in its range.
     """
     table = EffectTable(problem, balance, fitted)
     torque = _size(balance.averaged(table.driven()[0]))
@@ -168,11 +168,11 @@ def _table(
         unit, whole = _in_unit(balance, item)
         row = {
             **label(problem, c)._asdict(),
+            "size": _from(needed, pairs[0][0], item, whole),
             "unit": unit,
-            "seen_from": _from(needed, pairs[0][0], item, whole),
-            "apart_from": _from(needed, length, item, whole),
-            "rival": rival,
             "power": TEXT.power,
+            "alone": _from(needed, length, item, whole),
+            "rival": rival,
         }
         if c.key not in best or _order(row) < _order(best[c.key]):
             best[c.key] = row
@@ -189,7 +189,7 @@ def _in_unit(balance: Balance, item: Item) -> tuple[str, float]:
 
 
 def _order(row: dict[str, Any]) -> tuple[float, float]:
-    return row["apart_from"] or np.inf, row["seen_from"] or np.inf
+    return row["alone"] or np.inf, row["size"] or np.inf
 
 
 def _from(needed: float, length: float, item: Item, unit: float) -> float | None:

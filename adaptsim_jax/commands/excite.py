@@ -22,7 +22,6 @@ EXAMPLES = """
 def run(args: argparse.Namespace) -> int:
     """Draw motions, keep the one that shows most, write it and its table."""
     from dataclasses import replace
-    from pathlib import Path
 
     from adaptsim_jax.attribution.draws import BLEND
     from adaptsim_jax.attribution.excitation import Search, excited, read_after
@@ -40,9 +39,7 @@ def run(args: argparse.Namespace) -> int:
     if not 50.0 <= args.rate <= 1000.0:
         raise BadInput(f"--rate {args.rate:g}: give 50 to 1000 Hz")
     after = None if args.after is None else read_after(args.after)
-    mended = None if after is None else Path(args.after, "model.xml")
-    weighed = mended if mended and mended.exists() else None
-    may = allowed(args.model, replace(MARGINS, speed=args.speed), weighed)
+    may = allowed(args.model, replace(MARGINS, speed=args.speed))
     search = Search(args.seconds, args.rate, args.draws, seed=args.seed)
     with output(args.out) as out:
         with progress("excite") as report:
@@ -94,7 +91,7 @@ def _print(rows: Sequence[Mapping[str, Any]]) -> None:
             where = row["where"]
             print(where)
         name, rival = row["name"].replace("_", " "), row["rival"] or ""
-        sizes = [_size(row.get(key)) for key in ("seen_from", "apart_from", "so_far")]
+        sizes = [_size(row.get(key)) for key in ("size", "alone", "so_far")]
         print(line.format(name, sizes[0], row["unit"], sizes[1], rival, sizes[2] if so_far else ""))
 
 

@@ -5,7 +5,7 @@ contact.
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from xml.etree import ElementTree
 
 import mujoco
@@ -131,9 +131,7 @@ class Allowed:
     told: tuple[str, ...]
 
 
-def allowed(
-    path: str | os.PathLike, margins: Margins = MARGINS, weighed: str | os.PathLike | None = None
-) -> Allowed:
+def allowed(path: str | os.PathLike, margins: Margins = MARGINS) -> Allowed:
     """What the joints of a file may do: those that an actuator drives, or all where it has none.
 
     Raises BadInput where its base moves.
@@ -141,7 +139,6 @@ def allowed(
     Args:
         path: MJCF or URDF file.
         margins: What is kept from its limits.
-        weighed: Another file of the same machine, by which torques go.
     """
     source = read_source(path)
     model = source.model
@@ -155,10 +152,9 @@ def allowed(
     told = [note for note in mechanism.notes if note.startswith("held")]
     pose, coordinates = _coordinates(source, mechanism)
     solid = _solid(str(path), margins, told)
-    by = model if weighed is None else read_source(weighed).model
-    by.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    by.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
-    bodies = Bodies(by, solid, pose, coordinates, margins.clearance)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
+    bodies = Bodies(model, solid, pose, coordinates, margins.clearance)
     first = {c.joint: c for c in reversed(coordinates)}
     home = np.array([(pose[c.qpos] - c.offset) / c.factor for _, c in sorted(first.items())])
     low, high = _ranges(mechanism, home, margins, told)
@@ -170,7 +166,7 @@ def allowed(
     if near:
         pairs = few(["-".join(solid.body(b).name for b in pair) for pair in near])
         told.append(f"touch or nearly so at home, and may go on to: {pairs}")
-    bodies = Bodies(by, solid, pose, coordinates, margins.clearance, least)
+    bodies = replace(bodies, least=least)
     return Allowed(mechanism, bodies, home, low, high, speed, torque, tuple(told))
 
 

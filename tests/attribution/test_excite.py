@@ -94,6 +94,20 @@ def test_limits_are_those_of_the_file(tmp_path):
     assert "range of wrist" in told and "speed limit of shoulder" in told and "floor" in told
 
 
+URDF = """<robot name="a"><link name="base"/><link name="swing"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/>
+<inertia ixx="0.01" iyy="0.01" izz="0.01" ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hinge" type="revolute">
+<parent link="base"/><child link="swing"/><origin xyz="0 0 1"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="12" velocity="3"/></joint></robot>"""  # noqa: E501
+
+
+def test_a_urdf_has_limits_of_speed_and_torque(tmp_path):
+    path = tmp_path / "a.urdf"
+    path.write_text(URDF)
+    may = allowed(path)
+    assert may.speed == pytest.approx(0.7 * 3.0) and may.torque == pytest.approx(0.7 * 12.0)
+    assert may.high == pytest.approx(0.9) and "limit" not in " ".join(may.told)
+
+
 def test_bodies_that_would_touch_are_seen(tmp_path):
     may = allowed(written(tmp_path, "arm"))
     folded = np.linspace([0.0, 0.0, 0.0], [0.0, 3.0, 1.2], 50)
@@ -146,7 +160,7 @@ def test_the_table_foretells_what_is_named(found, effect, joint):
     }[effect]
     for times, there in ((2.0, True), (0.3, False)):
         torque = motion.torque.copy()
-        torque[:, j] += times * row["apart_from"] * way
+        torque[:, j] += times * row["alone"] * way
         assert ((effect, joint) in named(may, motion, torque, 8)) is there
 
 
@@ -163,7 +177,7 @@ def test_the_command_writes_a_motion(tmp_path, capsys):
     assert points[75]["time_from_start"] == {"sec": 1, "nanosec": 500000000}
     assert points[75]["positions"][1] == pytest.approx(rows["q_elbow"][75], abs=1e-6)
     assert np.abs(rows["v_elbow"]).max() <= 1.0
-    assert {"name", "where", "unit", "seen_from", "apart_from", "rival", "power"} == set(
+    assert {"name", "where", "unit", "size", "alone", "rival", "power"} == set(
         json.loads((out / "shown.json").read_text())["shown"][0]
     )
     assert (out / "motion.png").stat().st_size > 10_000
@@ -176,7 +190,7 @@ def test_after_a_diagnosis_its_model_and_noise_count(tmp_path, capsys):
     level = 'where = "elbow"\nparameters.level = {value = 0.3, unit = "N m"}\n'
     (out / "model.toml").write_text(head + level)
     channels = {"elbow": {"unit": "N m", "before": 0.9, "after": 0.5}}
-    power = [{"name": "spring", "where": "elbow", "seen_from": 0.25}]
+    power = [{"name": "spring", "where": "elbow", "size": 0.25}]
     (out / "report.json").write_text(
         json.dumps({"error": {"per_channel": channels}, "power": power})
     )
