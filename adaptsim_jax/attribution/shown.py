@@ -133,12 +133,14 @@ def _item(
     criteria: Criteria,
 ) -> Item:
     """share: of a joint's torque, root mean square, that a unit of its size is."""
+    if fitted:
+        return Item(c, at, 0.0, 0.0, True)
     effect, shape = problem.effect(c.effect), c.shaped()
-    least = 0.0 if fitted else criteria.torque.worth / share
+    least = criteria.torque.worth / share
     if effect.shifts_commands:
         least = max(least, criteria.torque.paired * reach.dt)
     only = shape.get(c.entries[0].name, 0.0) if effect.place == "force" else 0.0
-    return Item(c, at, least, only, fitted)
+    return Item(c, at, least, only, False)
 
 
 def _table(
@@ -207,9 +209,8 @@ def _mistaken(problem: TreeProblem, c: JointCandidate, other: JointCandidate) ->
     """Whether the other one may stand for it: what looks alike at its joint, itself at the next."""
     if other.effect == c.effect:
         return other.joints != c.joints and adjacent(problem, c, other)
-    return other.effect in problem.effect(c.effect).look_alikes and bool(
-        set(c.joints) & set(other.joints)
-    )
+    alike = problem.effect(c.effect).look_alikes if problem.offers(c.effect) else ()
+    return other.effect in alike and bool(set(c.joints) & set(other.joints))
 
 
 def _freed(gram: np.ndarray, precision: np.ndarray, free: Sequence[int]) -> np.ndarray:

@@ -82,7 +82,7 @@ def trajectory_of(may: Allowed, found: Excitation) -> dict[str, Any]:
 
 def _print(rows: Sequence[Mapping[str, Any]]) -> None:
     print("what a recording of this motion, with torques, would show (power 0.8):")
-    line = "  {:20}{:>10} {:15}{:>10}  {:32}{}"
+    line = "  {:20}{:>10} {:15}{:>10}  {:30}{}"
     so_far = "so far" if "so_far" in rows[0] else ""
     print(line.format("effect", "named from", "", "alone from", "or else", so_far))
     where = ""
