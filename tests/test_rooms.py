@@ -69,6 +69,7 @@ WITHIN = {
         "roles",
         "transmission",
         "mjcf",
+        "allowed",
         "double_pendulum",
     ),
     "logs": (

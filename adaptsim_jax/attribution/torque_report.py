@@ -16,6 +16,7 @@ from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.report import by_joint
 from adaptsim_jax.attribution.sentences import label, place
+from adaptsim_jax.attribution.shown import shown
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise
@@ -72,8 +73,22 @@ def by_torque(
         headline=headline(problem, e),
         left=bool(np.any(moving(problem) & over)),
         error=_error(problem, e, floor),
-        more={**account.more, "remaining": remaining, "notes": notes},
+        more={
+            **account.more,
+            "remaining": remaining,
+            "notes": notes,
+            "power": power_rows(problem, found),
+        },
     )
+
+
+def power_rows(problem: TreeProblem, found: TorqueSearch) -> list[dict[str, Any]]:
+    """What these recordings would show beside what is in the final model."""
+    rows = []
+    for w in found.searches:
+        left = w.whole.left_out(w.rows)
+        rows += [r for r in shown(problem, w.balance, w.final, w.state.reach, left) if r["size"]]
+    return rows
 
 
 def _pooled(m: Measure) -> float:

@@ -12,6 +12,7 @@ SUMMARIES = {
     "compare": "methods x settings x seeds, as in Table 1 of the paper",
     "init": "a meta.toml for recordings of a mechanism, guesses marked as such",
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
+    "excite": "the motion to record next, and from which size on it shows each effect",
     "replay": "simulate any model file over recordings: error by trial, joint and horizon",
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",

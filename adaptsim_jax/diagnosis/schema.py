@@ -13,7 +13,7 @@ it finds them; all but the last two are checked:
     [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
-    power                 [{name, where, size, unit, power}]                share found of what was
+    power                 [{name, where, size, unit, power, alone?, rival?}] share found of what was
     injected
 
 `candidates[i].held_out_gain` is the share of the

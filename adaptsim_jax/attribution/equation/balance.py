@@ -112,7 +112,7 @@ def _of_runs(
     width = np.concatenate([np.outer(r.width, np.ones(len(r.time))) for r in runs], 1)
     ends = np.cumsum([0, *(len(r.time) for r in runs)])
     mean = scipy.sparse.csr_matrix(scipy.sparse.block_diag([r.mean for r in runs], "csr"))
-    table = _by_pieces(partial(_regressed, tree), q, v, a)
+    table = regressor_along(tree, q, v, a)
     regressor = mean @ table.reshape(-1, table.shape[-1]).T
     return Balance(
         group,
@@ -178,6 +178,11 @@ def _by_pieces(make, *along: np.ndarray) -> np.ndarray:
             ]
             out.append(np.asarray(make(*full))[..., :own])
     return np.concatenate(out, -1)
+
+
+def regressor_along(tree: Tree, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Forces of the joints by inertial parameters [n, 10 n, T] along a motion [n, T]."""
+    return _by_pieces(partial(_regressed, tree), q, v, a)
 
 
 @jax.jit
