@@ -92,6 +92,7 @@ WITHIN = {
         "archive",
         "table",
         "tables",
+        "counters",
         "repeats",
         "command_files",
         "bag",
