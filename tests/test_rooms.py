@@ -93,6 +93,7 @@ WITHIN = {
         "archive",
         "table",
         "tables",
+        "counters",
         "repeats",
         "command_files",
         "bag",
