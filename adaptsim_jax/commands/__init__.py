@@ -13,6 +13,7 @@ SUMMARIES = {
     "init": "a meta.toml for recordings of a mechanism, guesses marked as such",
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
     "replay": "simulate any model file over recordings: error by trial, joint and horizon",
+    "export": "a diagnosis for MuJoCo, Playground, Brax, mjlab, Isaac Lab, as URDF or JSON",
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
     "parity": "physics backends against each other over random samples",
