@@ -14,7 +14,7 @@ The rest is as every `model.toml` has it (`mend/model_toml.py`); an effect's `wh
 "base". `model.xml` says the same as far as MJCF can.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -27,6 +27,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, va
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
 from adaptsim_jax.mechanisms.tree import compensated
 from adaptsim_jax.mend.model_toml import (
@@ -50,8 +51,19 @@ def text_of(
     summary: Mapping[str, Any],
     gains: Mapping[str, float] | None = None,
 ) -> str:
-    """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint,
-    where that had to be found.
+    """The TOML text. summary: of its provenance; gains: as of `form_of`."""
+    form = form_of(problem, model, gains or {}, summary)
+    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+
+
+def form_of(
+    problem: TreeProblem,
+    model: FittedTree,
+    gains: Mapping[str, float],
+    summary: Mapping[str, Any] | None = None,
+) -> Form:
+    """What the file holds of a model. gains: torque over volts or amperes by joint, where that had
+    to be found; summary: of its provenance.
     """
     own: dict[str, Any] = {}
     if any(np.any(g.model.tree.rub) for g in problem.groups):
@@ -64,8 +76,7 @@ def text_of(
         }
     if gains:
         own["gain"] = dict(gains)
-    form = Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary))
-    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+    return Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary or {}))
 
 
 def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]:
@@ -86,9 +97,13 @@ def applied(given: Mapping[str, Any], path: str, machine: Machine) -> Machine:
     """The machine of the declared model with what the table of the file at `path` says. Raises
     BadInput that names the key.
     """
-    form = read_form(given, path, OWN)
-    tree = machine.tree
-    joints, known = tree.joint_names, {e.name: e for e in MACHINE}
+    return of_form(read_form(given, path, OWN), machine)
+
+
+def of_form(form: Form, machine: Machine, effects: Sequence[Effect] = MACHINE) -> Machine:
+    """The same of a form that was read. effects: those that it may name."""
+    tree, path = machine.tree, form.path
+    joints, known = tree.joint_names, {e.name: e for e in effects}
     inertial = np.array(tree.inertial, float)
     for name, row in table_at(path, form.own, "inertial").items():
         if name not in joints or np.shape(row) != (10,):
