@@ -16,13 +16,19 @@ from adaptsim_jax.effects.joints.actuator import (
     TORQUE_GAIN,
 )
 from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.effects.joints.forces import HARD_STOP
 from adaptsim_jax.mend.mjcf import Changes
 from adaptsim_jax.mend.model_toml import Form
 
 Columns = Mapping[tuple[str, str], np.ndarray]
 DRIVES = tuple(e.name for e in MACHINE if e.place == "drive")
-OF_JOINTS = ("damping", "frictionloss", "armature", "stiffness", "preload")
+OF_JOINTS = (
+    *("damping", "drag", "frictionloss", "armature"),
+    *("stiffness", "preload", "torque", "ref"),
+)
 """What of joints a file holds, by names of `Quantity.mjcf`."""
+SOFT = 1e-4  # 1/rad: stiffness over torque of the spring that stands for a constant torque
+STOPS = ("stiffness", "angle", "side")
 
 
 def columns_of(one: Machine) -> dict[tuple[str, str], np.ndarray]:
@@ -46,8 +52,9 @@ def of_joints(one: Machine, effects: Sequence[Effect] = MACHINE) -> dict[str, np
         for p in e.parameters:
             if p.mjcf in table and (e.name, p.name) in columns:
                 table[p.mjcf] += np.asarray(columns[e.name, p.name])
-    stiffness, preload = table["stiffness"], table.pop("preload")
-    rest = preload / np.where(stiffness != 0.0, stiffness, 1.0)
+    stiffness, torque = table["stiffness"], table.pop("torque")
+    stiffness += np.where(stiffness == 0.0, SOFT * np.abs(torque), 0.0)
+    rest = (table.pop("preload") + torque) / np.where(stiffness != 0.0, stiffness, 1.0)
     springref = np.where(stiffness != 0.0, rest, np.asarray(one.tree.springref))
     rigid = ~giving_joints(columns, n)
     return {key: rigid * z for key, z in table.items()} | {"springref": springref}
@@ -67,6 +74,7 @@ def changes_of(was: Machine, form: Form, effects: Sequence[Effect] = MACHINE) ->
         actuators=actuators,
         motors=_motors(was, now, form),
         lift=form.own.get("lift"),
+        stops=_stops(now),
     )
 
 
@@ -90,6 +98,15 @@ def _number(one: Machine, effect: Effect, name: str, joint: int) -> float:
     default = next(p.default for p in effect.parameters if p.name == name)
     column = columns_of(one).get((effect.name, name))
     return default if column is None else float(column[joint])
+
+
+def _stops(now: Machine) -> dict[str, tuple[float, ...]]:
+    """Stiffness, angle and side of ends that were found, by joint."""
+    every = [
+        (name, tuple(_number(now, HARD_STOP, key, j) for key in STOPS))
+        for j, name in enumerate(now.tree.joint_names)
+    ]
+    return {name: stop for name, stop in every if stop[0]}
 
 
 def _gain(now: Machine, joint: int) -> float:

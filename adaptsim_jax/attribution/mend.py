@@ -178,7 +178,8 @@ def changes(
         *_lost(problem, model, named),
     ]
     form = model_toml.form_of(problem, model, gains(machine))
-    return replace(changes_of(machine, form, problem.effects), comments=comments)
+    lost = _gone(problem, model, named)
+    return replace(changes_of(machine, form, problem.effects), comments=comments, lost=lost)
 
 
 def declared_changes(machine: Machine) -> Changes:
@@ -188,20 +189,22 @@ def declared_changes(machine: Machine) -> Changes:
 
 
 def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
-    """A line for each effect that the file cannot hold."""
+    """A line for each number that the file cannot hold."""
+    gone = _gone(problem, model, named)
+    lines = []
+    for e, value in named.fit.vector.pairs():
+        for where in (f"{e.owner} at {problem.joint_names[j]}" for j in e.joints):
+            if where in gone:
+                number = f"{e.name} = {value:.6g} {e.unit}"
+                lines.append(f"not held by this file, see model.toml: {where}, {number}")
+    return lines
+
+
+def _gone(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
+    """`EFFECT at JOINT` of all that the file cannot hold."""
     retained = {c.key for c in model.added}
     gone = [c for c in named.added if c.key not in retained]
-    vector = named.fit.vector
-    lines = []
-    for c in gone:
-        for e, value in vector.pairs():
-            if e.owner == c.effect and set(e.joints) <= set(c.joints):
-                where = ", ".join(problem.joint_names[j] for j in e.joints)
-                lines.append(
-                    f"not held by this file, see model.toml: {e.owner} at {where}, "
-                    f"{e.name} = {value:.6g} {e.unit}"
-                )
-    return lines
+    return [f"{c.effect} at {problem.joint_names[j]}" for c in gone for j in c.joints]
 
 
 MODEL = "model.xml"

@@ -10,6 +10,7 @@ from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.mujoco.mjx_replay import mjx_errors
 
 HORIZON = 0.5  # s
+DECLARED = "declared.xml, MuJoCo"
 
 
 def round_trip(

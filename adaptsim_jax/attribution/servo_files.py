@@ -64,10 +64,7 @@ def _point_mass(mass: float, at: np.ndarray) -> np.ndarray:
 def _changes(d: ServoDiagnosis, form: Form) -> Changes:
     """What model.xml changes."""
     comments = [f"written by adaptsim from {Path(d.machine.mechanism.path).name}"]
-    for s, law in zip(d.recording.servos, d.found.laws, strict=True):
-        if law.zero:
-            comments.append(f"not in this file: the encoder of {s.name} reads {law.zero:.4g} more")
-    return replace(changes_of(d.machine, form), comments=comments)
+    return replace(changes_of(d.machine, form), comments=comments, lost=())
 
 
 def _form(d: ServoDiagnosis, run: dict[str, Any]) -> Form:

@@ -58,13 +58,18 @@ def _checked(d: Diagnosis, model: Path | None, args: argparse.Namespace) -> None
         return
     if "jax" not in sys.modules:
         process.small_steps()
-    from adaptsim_jax.attribution.round_trip import HORIZON, round_trip
+    from adaptsim_jax.attribution.round_trip import DECLARED, HORIZON, round_trip
 
     found = round_trip(d.folder, model, data, args.form in RUN_BY_MJX)
     joints = list(found["model.toml"])
     print(f"\nmedian error over stretches of {HORIZON:g} s of {data}:")
     rows = [(name, *(quantity(e[j], "rad", 3) for j in joints)) for name, e in found.items()]
     _table(("", *joints), rows)
+    declared = found[DECLARED]
+    for name, error in found.items():
+        worse = [j for j in joints if error[j] > declared[j]]
+        if worse:
+            print(f"{name}: WORSE than declared.xml at {', '.join(worse)}; see what was dropped")
 
 
 def _table(head: tuple[str, ...], rows: list[tuple[Any, ...]]) -> None:

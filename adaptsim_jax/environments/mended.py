@@ -24,7 +24,7 @@ from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.mechanisms.mjcf import mechanism_of
 from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
 from adaptsim_jax.mechanisms.spec import read_source
-from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
+from adaptsim_jax.mend.mjcf import Changes, lost_of, mended_mjcf
 from adaptsim_jax.mend.model_toml import Form, read_form
 
 mjx = mjx_module()
@@ -59,6 +59,11 @@ def mended(env: Any, path: str | Path) -> Any:
         )
     env = getattr(env, "declared", env)
     keeper = holders(env, str(path))[1]
+    if lost_of(getattr(env, keeper)) is not None:
+        raise BadInput(
+            f"{path}: the environment's model is a model.xml, which has what was found; make the "
+            "environment of the declared file, or leave model.toml out"
+        )
     form = read_form(table, str(path), OWN)
     declared = declared_machine(path.parent / form.model)
     found = applied(table, str(path), declared)

@@ -17,6 +17,7 @@ import numpy as np
 
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
+from adaptsim_jax.mend.mjcf import lost_of
 from adaptsim_jax.mend.model_toml import Form, Value, read_form
 from adaptsim_jax.mend.movable import movable
 from adaptsim_jax.mend.randomisation import (
@@ -200,9 +201,16 @@ def carried(d: Diagnosis, form: str) -> list[Carried]:
     """What a format makes of each effect of a diagnosis."""
     column, known = COLUMNS.get(form, form), config.read(Path(__file__).with_name("carried.toml"))
     out = []
+    lost = lost_of(d.model) or ()
     for effect, where in dict.fromkeys(d.found):
-        words = "exact" if form == "json" else known.get(effect, {}).get(column, "dropped")
+        words = known.get(effect, {}).get(column, "dropped")
+        if form == "json":
+            words = "exact"
+        elif f"{effect} at {where}" in lost:
+            words = "dropped: model.xml has not got it here"
         how, _, why = words.partition(": ")
+        if how == "dropped" and column == "mjx":
+            why = "adaptsim's mended(env, model.toml) has it"
         out.append(Carried(effect, where, how, why))
     if d.random.names and column in ("mjlab", "isaaclab"):
         where = ", ".join(d.random.names)

@@ -54,9 +54,10 @@ def _joint(model: mujoco.MjModel, j: int) -> dict[str, Any]:
         raise BadInput(
             f"--as urdf: joint '{name}' is a ball or free, which URDF has not; export to mjcf"
         )
+    zero = model.qpos0[model.jnt_qposadr[j]]  # an encoder's offset, which URDF has not
     limits = {"effort": _effort(model, j), "velocity": OPEN}
     if model.jnt_limited[j]:
-        limits |= dict(zip(("lower", "upper"), model.jnt_range[j], strict=True))
+        limits |= dict(zip(("lower", "upper"), model.jnt_range[j] - zero, strict=True))
     elif kind == "revolute":
         kind = "continuous"
     else:

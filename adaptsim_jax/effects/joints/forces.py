@@ -115,6 +115,7 @@ SPRING = Effect(
 
 BIAS = replace(
     disturbance.PENDULUM_BIAS,
+    parameters=tuple(replace(p, mjcf="torque") for p in disturbance.PENDULUM_BIAS.parameters),
     physics="a constant torque: the torque sensor's zero, a cable's pull",
     look_alikes=("encoder_offset", "tilt", "spring", "asymmetric_coulomb"),
 )
@@ -146,7 +147,7 @@ HARD_STOP = Effect(
     "hard_stop",
     "force",
     (
-        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1),
+        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1, mjcf="stop"),
         Quantity("angle", "rad", -100.0, 100.0, 1.5, shape=True),
         Quantity("side", "1", -1.0, 1.0, 1.0, shape=True, held=True),
         Quantity("loss", "s", 0.0, 1.0, shape=True, optional=True),

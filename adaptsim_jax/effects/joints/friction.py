@@ -274,7 +274,7 @@ LOAD_FRICTION = Effect(
 
 QUADRATIC_DRAG = replace(
     PENDULUM_QUADRATIC_DRAG,
-    parameters=(Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1),),
+    parameters=(Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1, mjcf="drag"),),
     look_alikes=("viscous", "coulomb"),
     traits=Traits(family=True, resists=True),
 )

@@ -172,6 +172,7 @@ def encoder_scale(p, t, q, v, first):
 
 ENCODER_OFFSET = replace(
     PENDULUM_ENCODER_OFFSET,
+    parameters=tuple(replace(p, mjcf="ref") for p in PENDULUM_ENCODER_OFFSET.parameters),
     excitation="wide angles under gravity",
     look_alikes=("bias", "tilt"),
     traits=Traits(in_balance=True, at_parents=True, prior=0.03),
