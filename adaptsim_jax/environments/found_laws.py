@@ -54,6 +54,8 @@ def laws_of(native: mujoco.MjModel, found: Machine | None, where: str) -> Laws |
     if not on and damping is None and stiffness is None:
         return None
     qpos, dof, ctrl, act = _places(native, joints, where)
+    if found is not None and damping is not None:
+        damping[list(dof), 0] = 0.0  # an effect of these joints
     soft = [columns[e.name, "compliance"] > 0.0 for e in on if rubs_dry(e)[1]]
     yielding = np.any([np.zeros(n, bool), *soft], axis=0) & ~giving
     late = [columns[e.name, "delay"] for e in on if (e.name, "delay") in columns]

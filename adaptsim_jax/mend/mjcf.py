@@ -25,7 +25,7 @@ class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss
-    (N m), stiffness (N m/rad), springref (rad), drag (N m s^2/rad^2, on top of the file's), ref
+    (N m), stiffness (N m/rad), springref (rad), drag (N m s^2/rad^2), ref
     (rad, what its encoder reads more); stops {joint name: (N m/rad, rad, side)}: ends as springs of
     tendons; gravity [3] m/s^2 in the world; actuator tables
     {actuator name: value}: gain, kp and speed (what a speed servo makes of its command) as factors,
@@ -138,7 +138,7 @@ def _put_joint(spec: mujoco.MjSpec, mechanism: Mechanism, joint, key: str, value
         joint.ref, joint.springref = joint.ref + angle, joint.springref + angle
         joint.range = joint.range + angle
     elif key == "drag":
-        joint.damping[1] += value
+        joint.damping[1] = value
     elif joint.name in tree.joint_names:
         # what followers, tendons and actuators add stays with them
         own = np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
