@@ -11,22 +11,20 @@ from adaptsim_jax.attribution.candidates import JointCandidate, candidates
 from adaptsim_jax.attribution.equation.models import TorqueSearch, without
 from adaptsim_jax.attribution.fitted import FittedTree, Selection
 from adaptsim_jax.attribution.held_out import attempted, modelled, refit
+from adaptsim_jax.attribution.in_mjcf import changes_of
 from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import TORQUE
 from adaptsim_jax.attribution.nested_models import without as without_simulated
-from adaptsim_jax.attribution.parameters import TILT
-from adaptsim_jax.attribution.problem import TreeProblem, values_of
+from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.score import table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.base import Effect
-from adaptsim_jax.effects.joints.actuator import SATURATION, TORQUE_GAIN
 from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
+from adaptsim_jax.mend.model_toml import Form
 
 COMMANDED = ("command", "voltage", "current")
-OF_JOINTS = ("damping", "frictionloss", "armature", "stiffness")
-"""What of joints a file holds."""
 
 
 def by_actuator(effect: Effect) -> dict[str, str]:
@@ -175,132 +173,38 @@ def changes(
     """The changes that `model.xml` gets of a `holdable` model, with comments on what is `named`
     besides.
     """
-    vector, tree = model.fit.vector, machine.tree
-    n = problem.joints
-    inertial = np.array(tree.inertial, float)
-    gravity = None
-    table = {key: np.zeros(n) for key in (*OF_JOINTS, "preload")}
-    for g in problem.groups:
-        values = values_of(problem, g, vector)
-        own = list(g.joints)
-        inertial[own] = values.inertial[..., 0]
-        if any(e.owner == TILT for e in vector.entries):
-            gravity = values.gravity[:, 0]
-        for effect in (e for e in problem.effects if e.held_by_file and e.name in values.effects):
-            for p in (p for p in effect.parameters if p.mjcf):
-                table[p.mjcf][own] += values.effects[effect.name][p.name][:, 0]
-
-    def by_joint(z):
-        return {name: float(v) for name, v in zip(tree.joint_names, z, strict=True)}
-
-    joints = {key: by_joint(table[key]) for key in OF_JOINTS}
-    stiff = table["stiffness"] != 0.0
-    rest = np.where(
-        stiff,
-        table["preload"] / np.where(stiff, table["stiffness"], 1.0),
-        np.asarray(tree.springref),
-    )
-    joints["springref"] = by_joint(rest)
     comments = [
         f"written by adaptsim from {machine.mechanism.path.rsplit('/', 1)[-1]}",
         *_lost(problem, model, named),
     ]
-    return Changes(
-        inertial,
-        joints,
-        gravity,
-        _actuators(machine, problem, model),
-        _motors(machine, model),
-        comments,
-    )
+    form = model_toml.form_of(problem, model, gains(machine))
+    lost = _gone(problem, model, named)
+    return replace(changes_of(machine, form, problem.effects), comments=comments, lost=lost)
 
 
 def declared_changes(machine: Machine) -> Changes:
     """Those of the declared model: none, but for a gain that had to be found."""
-    return Changes(actuators={"gain": _found_gain(machine)}, motors=_motors(machine))
-
-
-def _motors(machine: Machine, model: FittedTree | None = None) -> dict[str, float]:
-    """Motors [N m per V or A] of driven joints for which the file has none, where the gain had to
-    be found.
-    """
-    has = {a.joint for a in machine.mechanism.actuators}
-    out = {
-        name: g
-        for name, g in gains(machine).items()
-        if machine.tree.joint_names.index(name) not in has
-    }
-    for e, value in model.fit.vector.pairs() if model else ():
-        for j in e.joints if e.owner == TORQUE_GAIN.name else ():
-            name = machine.tree.joint_names[j]
-            if name in out:
-                out[name] *= 1.0 + float(value)
-    return out
-
-
-def _found_gain(machine: Machine) -> dict[str, float]:
-    """Factors on the actuators' gains in the file that make them those of the machine."""
-    if not machine.gain_unknown:
-        return {}
-    return {
-        a.name: float(machine.actuator[0, a.joint] / (a.gear * a.gain))
-        for a in machine.mechanism.actuators
-    }
-
-
-def _actuators(
-    machine: Machine, problem: TreeProblem, model: FittedTree
-) -> dict[str, dict[str, float]]:
-    """Changes of actuators by name, for `mjcf_write.Changes`."""
-    by_joint: dict[int, list[str]] = {}
-    for a in machine.mechanism.actuators:
-        by_joint.setdefault(a.joint, []).append(a.name)
-    for name in _motors(machine):  # a motor that is added goes by its joint's name
-        by_joint.setdefault(machine.tree.joint_names.index(name), []).append(name)
-    gains = _found_gain(machine)
-    out: dict[str, dict[str, float]] = {"gain": dict(gains)}
-    if machine.log.input_kind not in COMMANDED:
-        return out
-    changed = {(k.name, p): key for k in problem.effects for p, key in by_actuator(k).items()}
-    peak = _peaks(problem, model)
-    for e, value in model.fit.vector.pairs():
-        key = changed.get((e.owner, e.name))
-        for j in e.joints if key else ():
-            for name in by_joint.get(j, ()):
-                if key in ("gain", "kp"):
-                    found = gains.get(name, 1.0) if key == "gain" else 1.0
-                    out.setdefault(key, {})[name] = (1.0 + float(value)) * found
-                elif key == "limit":
-                    out.setdefault(key, {})[name] = float((1.0 - value) * peak[j])
-                elif key in ("delay", "lag") and value > 0.0:
-                    out.setdefault(key, {})[name] = float(value)
-    return out
-
-
-def _peaks(problem: TreeProblem, model: FittedTree) -> dict[int, float]:
-    """Peak of the force of each joint's actuator, N m: the fitted one where there is one."""
-    peaks = dict(enumerate(problem.reach.peak))
-    for e, value in model.fit.vector.pairs():
-        if e.owner == SATURATION.name and e.name == "peak":
-            peaks |= dict.fromkeys(e.joints, value)
-    return peaks
+    form = Form("mechanism", model_toml.DECLARED, own={"gain": gains(machine)})
+    return changes_of(machine, form)
 
 
 def _lost(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
-    """A line for each effect that the file cannot hold."""
+    """A line for each number that the file cannot hold."""
+    gone = _gone(problem, model, named)
+    lines = []
+    for e, value in named.fit.vector.pairs():
+        for where in (f"{e.owner} at {problem.joint_names[j]}" for j in e.joints):
+            if where in gone:
+                number = f"{e.name} = {value:.6g} {e.unit}"
+                lines.append(f"not held by this file, see model.toml: {where}, {number}")
+    return lines
+
+
+def _gone(problem: TreeProblem, model: FittedTree, named: FittedTree) -> list[str]:
+    """`EFFECT at JOINT` of all that the file cannot hold."""
     retained = {c.key for c in model.added}
     gone = [c for c in named.added if c.key not in retained]
-    vector = named.fit.vector
-    lines = []
-    for c in gone:
-        for e, value in vector.pairs():
-            if e.owner == c.effect and set(e.joints) <= set(c.joints):
-                where = ", ".join(problem.joint_names[j] for j in e.joints)
-                lines.append(
-                    f"not held by this file, see model.toml: {e.owner} at {where}, "
-                    f"{e.name} = {value:.6g} {e.unit}"
-                )
-    return lines
+    return [f"{c.effect} at {problem.joint_names[j]}" for c in gone for j in c.joints]
 
 
 MODEL = "model.xml"

@@ -54,8 +54,21 @@ def text_of(
     gains: Mapping[str, float] | None = None,
     more: Mapping[str, Any] | None = None,
 ) -> str:
-    """The TOML text. summary: of its provenance; gains: torque over volts or amperes by joint,
-    where that had to be found; more: keys of the rig's own.
+    """The TOML text. summary: of its provenance; gains, more: as of `form_of`."""
+    form = form_of(problem, model, gains or {}, summary, more)
+    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+
+
+def form_of(
+    problem: TreeProblem,
+    model: FittedTree,
+    gains: Mapping[str, float],
+    summary: Mapping[str, Any] | None = None,
+    more: Mapping[str, Any] | None = None,
+) -> Form:
+    """What the file holds of a model. gains: torque over volts or amperes by joint, where that had
+    to be found; summary: of its provenance; more: keys of the rig's
+    own.
     """
     own: dict[str, Any] = dict(more or {})
     if any(g.model.tree.linear for g in problem.groups):
@@ -70,8 +83,7 @@ def text_of(
         }
     if gains:
         own["gain"] = dict(gains)
-    form = Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary))
-    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+    return Form("mechanism", DECLARED, {}, _effects(problem, model), own, dict(summary or {}))
 
 
 def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]:
@@ -94,8 +106,12 @@ def applied(
     """The machine of the declared model with what the table of the file at `path` says, of which
     the effects are some of `effects`. Raises BadInput that names the key.
     """
-    form = read_form(given, path, OWN)
-    tree = machine.tree
+    return of_form(read_form(given, path, OWN), machine, effects)
+
+
+def of_form(form: Form, machine: Machine, effects: Sequence[Effect] = MACHINE) -> Machine:
+    """The same of a form that was read. effects: those that it may name."""
+    tree, path = machine.tree, form.path
     joints, known = tree.joint_names, {e.name: e for e in effects}
     inertial = np.array(tree.inertial, float)
     for name, row in table_at(path, form.own, "inertial").items():

@@ -25,7 +25,7 @@ from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.actuator import DEAD_ZONE, SATURATION, TORQUE_GAIN
 from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
-from adaptsim_jax.effects.joints.friction import COULOMB, LOAD_FRICTION, VISCOUS
+from adaptsim_jax.effects.joints.friction import COULOMB, LOAD_FRICTION, QUADRATIC_DRAG, VISCOUS
 from adaptsim_jax.logs.noise import local_motion, sensor_noise
 from adaptsim_jax.mechanisms import equations
 from adaptsim_jax.mechanisms.tree import Tree, subtrees, take
@@ -170,6 +170,7 @@ def numbers_of(tree: Tree) -> dict[tuple[str, str], np.ndarray]:
     stiffness = np.asarray(tree.stiffness)
     return {
         (VISCOUS.name, "damping"): np.asarray(tree.damping),
+        (QUADRATIC_DRAG.name, "drag"): np.asarray(tree.damping_poly)[:, 0],
         (COULOMB.name, "level"): np.asarray(tree.frictionloss),
         (ARMATURE.name, "inertia"): np.asarray(tree.armature),
         (SPRING.name, "stiffness"): stiffness,

@@ -3,6 +3,7 @@ these simulate.
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import numpy as np
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.closed_loop import ServoDiagnosis, by_piece, measure_of
+from adaptsim_jax.attribution.in_mjcf import changes_of
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, joint_errors
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
@@ -27,10 +29,10 @@ from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
 
 def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
     """What makes the text of each file that holds the model."""
-    changes = _changes(d)
-    mechanism = d.machine.mechanism
+    form, mechanism = _form(d, run), d.machine.mechanism
+    changes = _changes(d, form)
     return {
-        MODEL_FILE: lambda: _toml(d, run),
+        MODEL_FILE: lambda: form.text("`adaptsim replay model.toml DATA` simulates all of it"),
         model_toml.DECLARED: lambda: mended_mjcf(mechanism, Changes()),
         "model.xml": lambda: mended_mjcf(mechanism, changes),
     }
@@ -59,59 +61,13 @@ def _point_mass(mass: float, at: np.ndarray) -> np.ndarray:
     return np.concatenate([[mass], mass * np.asarray(at), second])
 
 
-def _changes(d: ServoDiagnosis) -> Changes:
+def _changes(d: ServoDiagnosis, form: Form) -> Changes:
     """What model.xml changes."""
-    servos, laws = d.recording.servos, d.found.laws
-    joints: dict[str, dict[str, float]] = {}
-    actuators: dict[str, dict[str, float]] = {}
-    for s, law in zip(servos, laws, strict=True):
-        for table, name, numbers in (
-            (joints, s.name, _of_joint(s, law)),
-            (actuators, s.driver, _of_actuator(s, law)),
-        ):
-            for key, value in numbers.items():
-                table.setdefault(key, {})[name] = float(value)
-    lift = None if laws[0].lift == servos[0].law.lift else float(laws[0].lift)
     comments = [f"written by adaptsim from {Path(d.machine.mechanism.path).name}"]
-    for s, law in zip(servos, laws, strict=True):
-        if law.zero:
-            comments.append(f"not in this file: the encoder of {s.name} reads {law.zero:.4g} more")
-    return Changes(
-        inertial=_loaded(d), joints=joints, actuators=actuators, comments=comments, lift=lift
-    )
+    return replace(changes_of(d.machine, form), comments=comments, lost=())
 
 
-def _of_joint(s: Servo, law: ServoLaw) -> dict[str, float]:
-    """What changes of a joint."""
-    file, outer = s.law, law.damping - float(inner_damping(s, law.damping)) * law.inside
-    own = {
-        "damping": (outer, s.passive),
-        "frictionloss": (law.rub, file.rub),
-        "armature": (s.armature + law.rotor, s.armature),
-        "stiffness": (law.spring, file.spring),
-    }
-    return {key: value for key, (value, before) in own.items() if value != before}
-
-
-def _of_actuator(s: Servo, law: ServoLaw) -> dict[str, float]:
-    """What changes of an actuator."""
-    file, g = s.law, s.gear
-    inner, before = (float(inner_damping(s, z)) for z in (law.damping, file.damping))
-    own = {
-        "kv": (inner * law.inside / g**2, before / g**2),
-        "limit": (law.limit / abs(g), file.limit / abs(g)),
-        "delay": (law.delay, file.delay),
-        "lag": (law.lag, file.lag),
-        "bias": (law.kp * law.offset / g, 0.0),
-    }
-    if s.follows_speed:
-        own["speed"] = (inner / before, 1.0)
-    else:
-        own["kp"] = (law.kp / file.kp, 1.0)
-    return {key: value for key, (value, old) in own.items() if value != old}
-
-
-def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
+def _form(d: ServoDiagnosis, run: dict[str, Any]) -> Form:
     """model.toml: servos by joint, the payload in the bodies, and what else is added."""
     servos, laws = d.recording.servos, d.found.laws
     own: dict[str, Any] = {}
@@ -145,8 +101,7 @@ def _toml(d: ServoDiagnosis, run: dict[str, Any]) -> str:
         own["friction"] = model_toml.GIVES
     if laws[0].lift != servos[0].law.lift:
         own["lift"] = float(laws[0].lift)
-    form = Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)
-    return form.text("`adaptsim replay model.toml DATA` simulates all of it")
+    return Form("mechanism", model_toml.DECLARED, {}, tuple(effects), own, run)
 
 
 def _added(s: Servo, name: str, numbers: dict[str, float], file: dict[str, float]):

@@ -14,6 +14,7 @@ SUMMARIES = {
     "diagnose": "close the loop: measured data in, cause of the residual and mended model out",
     "excite": "the motion to record next, and from which size on it shows each effect",
     "replay": "simulate any model file over recordings: error by trial, joint and horizon",
+    "export": "a diagnosis for MuJoCo, Playground, Brax, mjlab, Isaac Lab, as URDF or JSON",
     "effects": "the catalogue of effects that a model may lack",
     "robot": "ask/tell adaptation with a real robot",
     "parity": "physics backends against each other over random samples",

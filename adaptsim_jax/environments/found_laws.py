@@ -2,15 +2,15 @@
 ignores.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 
 from adaptsim_jax.attribution.acting import ActingModel, Values, rubs_dry
+from adaptsim_jax.attribution.in_mjcf import DRIVES, Columns, columns_of, giving_joints
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.problem import numbers_of
 from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
@@ -22,15 +22,12 @@ from adaptsim_jax.environments.fields import MIN_FRICTION
 from adaptsim_jax.environments.laws import Laws
 from adaptsim_jax.mechanisms.tree import Tree, make_tree
 
-Columns = Mapping[tuple[str, str], np.ndarray]
-
 IN_MODEL = (VISCOUS, COULOMB, ARMATURE, SPRING)
 """Effects that MJX has in its model, of joints whose drive is rigid."""
 SHARP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """solimp of dry friction that ends a speed within a step, as of real joints: it gives by 1e-4."""
 SOONEST = 0.05  # s: delays that a law may be given later, by a field
 SWINGS = 1.0  # rad within a step: a spring that swings faster cannot be stepped explicitly
-DRIVES = tuple(e.name for e in MACHINE if e.place == "drive")
 JOINTS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 
 
@@ -57,6 +54,8 @@ def laws_of(native: mujoco.MjModel, found: Machine | None, where: str) -> Laws |
     if not on and damping is None and stiffness is None:
         return None
     qpos, dof, ctrl, act = _places(native, joints, where)
+    if found is not None and damping is not None:
+        damping[list(dof), 0] = 0.0  # an effect of these joints
     soft = [columns[e.name, "compliance"] > 0.0 for e in on if rubs_dry(e)[1]]
     yielding = np.any([np.zeros(n, bool), *soft], axis=0) & ~giving
     late = [columns[e.name, "delay"] for e in on if (e.name, "delay") in columns]
@@ -80,35 +79,6 @@ def laws_of(native: mujoco.MjModel, found: Machine | None, where: str) -> Laws |
         rows = list(dof)
         native.dof_frictionloss[rows] = np.maximum(native.dof_frictionloss[rows], MIN_FRICTION)
     return laws
-
-
-def columns_of(one: Machine) -> dict[tuple[str, str], np.ndarray]:
-    """Numbers of effects [n], by effect and parameter."""
-    return numbers_of(one.tree) | one.declared
-
-
-def giving_joints(columns: Columns, n: int) -> np.ndarray:
-    """Joints [n] whose drive gives."""
-    some = [columns[e, "compliance"] > 0.0 for e in DRIVES if (e, "compliance") in columns]
-    return np.any([np.zeros(n, bool), *some], axis=0)
-
-
-def of_joints(one: Machine) -> dict[str, np.ndarray]:
-    """What MJX's joints have [n]; of those whose drive gives, what is left to the link."""
-    columns, n = columns_of(one), one.tree.n
-
-    def of(effect: Effect, name: str) -> np.ndarray:
-        return np.asarray(columns.get((effect.name, name), np.zeros(n)))
-
-    stiffness, rigid = of(SPRING, "stiffness"), ~giving_joints(columns, n)
-    rest = of(SPRING, "preload") / np.where(stiffness != 0.0, stiffness, 1.0)
-    return {
-        "damping": rigid * of(VISCOUS, "damping"),
-        "frictionloss": rigid * of(COULOMB, "level"),
-        "armature": rigid * of(ARMATURE, "inertia"),
-        "stiffness": rigid * stiffness,
-        "springref": np.where(stiffness != 0.0, rest, np.asarray(one.tree.springref)),
-    }
 
 
 def _on(effect: Effect, columns: Columns) -> bool:

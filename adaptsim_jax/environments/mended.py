@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 
+from adaptsim_jax.attribution.in_mjcf import other_joints
 from adaptsim_jax.attribution.machine import Machine, machine
 from adaptsim_jax.attribution.model_toml import OWN, applied
 from adaptsim_jax.core import config as configs
@@ -15,7 +16,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.lazy import mjx_module
 from adaptsim_jax.effects.joints.actuator import DELAY
 from adaptsim_jax.environments import fields
-from adaptsim_jax.environments.found_laws import actuator_at, laws_of, of_joints
+from adaptsim_jax.environments.found_laws import IN_MODEL, actuator_at, laws_of
 from adaptsim_jax.environments.laws import Laws, advanced, read, room
 from adaptsim_jax.environments.simulated import acting_physics, stepping_by
 from adaptsim_jax.logs.log import Log, LogTrial
@@ -23,7 +24,7 @@ from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.mechanisms.mjcf import mechanism_of
 from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
 from adaptsim_jax.mechanisms.spec import read_source
-from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
+from adaptsim_jax.mend.mjcf import Changes, lost_of, mended_mjcf
 from adaptsim_jax.mend.model_toml import Form, read_form
 
 mjx = mjx_module()
@@ -58,6 +59,11 @@ def mended(env: Any, path: str | Path) -> Any:
         )
     env = getattr(env, "declared", env)
     keeper = holders(env, str(path))[1]
+    if lost_of(getattr(env, keeper)) is not None:
+        raise BadInput(
+            f"{path}: the environment's model is a model.xml, which has what was found; make the "
+            "environment of the declared file, or leave model.toml out"
+        )
     form = read_form(table, str(path), OWN)
     if form.own.get("linear"):
         raise BadInput(f"{path}: linear = true, which no engine of environments has; give another")
@@ -195,19 +201,10 @@ def declared_machine(path: Path) -> Machine:
 
 def _put_model(native: mujoco.MjModel, was: Machine, now: Machine, form: Form) -> None:
     """What MJX's model holds of a `model.toml`, where it is not as declared."""
-    before, after = of_joints(was), of_joints(now)
-    joints = {
-        key: {
-            name: float(new)
-            for name, new, old in zip(was.tree.joint_names, after[key], before[key], strict=True)
-            if new != old
-        }
-        for key in after
-    }
     gravity = np.asarray(now.tree.gravity)
     changes = Changes(
         inertial=np.asarray(now.tree.inertial),
-        joints=joints,
+        joints=other_joints(was, now, IN_MODEL),
         gravity=gravity if np.any(gravity != was.tree.gravity) else None,
         lift=form.own.get("lift"),
     )

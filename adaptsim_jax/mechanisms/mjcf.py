@@ -109,7 +109,7 @@ def mechanism_of(
         *role.notes,
         *((f"actuators of held joints, or off, do nothing: {', '.join(idle)}",) if idle else ()),
     )
-    beyond = (*role.beyond, *walk.beyond, *own, *_medium(model))
+    beyond = (*role.beyond, *walk.beyond, *own, *_medium(model), *_curved(tree))
     if bounded := [
         model.joint(k).name
         for k in range(model.njnt)
@@ -398,6 +398,13 @@ def _in_reach(tree: Tree) -> Tree:
 def _medium(model: mujoco.MjModel) -> tuple[str, ...]:
     if model.opt.density or model.opt.viscosity:
         return ("the drag of a medium (density, viscosity)",)
+    return ()
+
+
+def _curved(tree: Tree) -> tuple[str, ...]:
+    """Polynomials that effects of joints do not have."""
+    if np.any(tree.damping_poly[:, 1]) or np.any(tree.stiffness_poly):
+        return ("damping with the cube of the speed, or a spring that is not straight",)
     return ()
 
 

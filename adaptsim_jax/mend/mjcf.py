@@ -16,6 +16,8 @@ from adaptsim_jax.mechanisms.mjcf import Mechanism, rotation_of
 from adaptsim_jax.mechanisms.spec import compiled, read_source, read_spec, without_shapes
 
 MIN_MOMENT = 1e-9  # kg m^2
+FAR = 1e4  # rad: no joint gets there
+MARK = "adaptsim"
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,15 @@ class Changes:
     """What to put in; None, or a joint that a table does not name, stays as it is.
 
     inertial [n, 10] as of `Tree`; joint tables {joint name: value}: damping, armature, frictionloss
-    (N m), stiffness (N m/rad), springref (rad); gravity [3] m/s^2 in the world; actuator tables
+    (N m), stiffness (N m/rad), springref (rad), drag (N m s^2/rad^2), ref
+    (rad, what its encoder reads more); stops {joint name: (N m/rad, rad, side)}: ends as springs of
+    tendons; gravity [3] m/s^2 in the world; actuator tables
     {actuator name: value}: gain, kp and speed (what a speed servo makes of its command) as factors,
     kv (N m s/rad), delay and lag in s, limit (N m), bias (N m); lift: share of gravity that all
     bodies are compensated for; motors {joint name: N m per unit of its command} are put in where
     the joint has no actuator, with the limit under `limit` by the joint's name; comments: what the
-    file cannot hold, a line each.
+    file cannot hold, a line each; lost: the same as `EFFECT at JOINT`, by which the file is marked
+    as one that has what was found (None: it is not).
     """
 
     inertial: np.ndarray | None = None
@@ -38,6 +43,8 @@ class Changes:
     motors: Mapping[str, float] = field(default_factory=dict)
     comments: Sequence[str] = ()
     lift: float | None = None
+    stops: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    lost: Sequence[str] | None = None
 
 
 def mended_mjcf(mechanism: Mechanism, changes: Changes) -> str:
@@ -63,6 +70,8 @@ def _mended(mechanism: Mechanism, changes: Changes, shapes: bool = True) -> str:
         if not shapes:
             without_shapes(spec)
         _put_all(spec, mechanism, changes)
+        if changes.lost is not None:
+            spec.add_text(name=MARK, data="; ".join(changes.lost) or "nothing lost")
         return changes.comments
 
     return edited(mechanism.path, edit)
@@ -96,16 +105,22 @@ def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> Non
         for key, table in changes.joints.items():
             if joint.name in table:
                 _put_joint(spec, mechanism, joint, key, float(table[joint.name]))
+    for name, stop in changes.stops.items():
+        _put_stop(spec, name, *stop)
     if changes.gravity is not None:
         spec.option.gravity = np.asarray(changes.gravity, float)
+    for body in spec.bodies[1:]:
+        body.gravcomp = body.gravcomp if changes.lift is None else changes.lift
+    _put_actuators(spec, changes)
+
+
+def _put_actuators(spec: mujoco.MjSpec, changes: Changes) -> None:
     for joint, gear in changes.motors.items():
         motor = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         motor.gear = [gear, *[0.0] * 5]
         if joint in changes.actuators.get("limit", {}):
             _put_actuator(motor, "limit", changes.actuators["limit"][joint] / gear, 0.0)
-    for body in spec.bodies[1:]:
-        body.gravcomp = body.gravcomp if changes.lift is None else changes.lift
     step = float(spec.option.timestep)
     for actuator in spec.actuators:
         for key, table in changes.actuators.items():
@@ -115,14 +130,27 @@ def _put_all(spec: mujoco.MjSpec, mechanism: Mechanism, changes: Changes) -> Non
 
 def _put_joint(spec: mujoco.MjSpec, mechanism: Mechanism, joint, key: str, value: float) -> None:
     tree = mechanism.tree
+    turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+    angle = float(np.rad2deg(value)) if turns else value
     if key == "springref":
-        turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-        put_field(joint, key, float(np.rad2deg(value)) if turns else value)
+        put_field(joint, key, angle)
+    elif key == "ref":  # all that is told by the encoder goes along
+        joint.ref, joint.springref = joint.ref + angle, joint.springref + angle
+        joint.range = joint.range + angle
+    elif key == "drag":
+        joint.damping[1] = value
     elif joint.name in tree.joint_names:
         # what followers, tendons and actuators add stays with them
         own = np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
         more, now = value - float(own), float(np.ravel(getattr(joint, key))[0])
         put_field(joint, key, value if more + now == value else max(0.0, now + more))
+
+
+def _put_stop(spec: mujoco.MjSpec, joint: str, stiffness: float, angle: float, side: float) -> None:
+    """A spring beyond an angle: that of a tendon which is slack before it."""
+    tendon = spec.add_tendon(name=f"stop_{joint}", stiffness=[stiffness, 0.0, 0.0])
+    tendon.wrap_joint(joint, 1.0)
+    tendon.springlength = [-FAR, angle] if side > 0.0 else [angle, FAR]
 
 
 def _put_actuator(actuator, key: str, value: float, step: float) -> None:
@@ -153,6 +181,16 @@ def _put_actuator(actuator, key: str, value: float, step: float) -> None:
         actuator.dynprm = dyn
     else:
         raise ValueError(f"an actuator has no {key}")
+
+
+def lost_of(model: mujoco.MjModel) -> list[str] | None:
+    """What a file that has what was found does not hold, None of any other file."""
+    k = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_TEXT, MARK)
+    if k < 0:
+        return None
+    first = int(model.text_adr[k])
+    text = bytes(model.text_data)[first : first + int(model.text_size[k]) - 1]
+    return text.decode().split("; ")
 
 
 def put_delay(actuator, delay: float, step: float) -> None:

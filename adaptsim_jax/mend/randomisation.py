@@ -189,7 +189,7 @@ def randomisation_of(
         declared: Numbers of the model file by the names of fields, with units.
         servos: By joint the actuator at it and the square of its gear.
     """
-    known = dict(_intervals(report))
+    known = dict(intervals(report))
     rows: dict[str, Randomised] = {}
     for effect in form.effects:
         for parameter, number in effect.parameters.items():
@@ -239,7 +239,7 @@ def _field(effect: str, where: str, parameter: str) -> str | None:
     return f"effect:{where}.{effect}.{parameter}"
 
 
-def _intervals(report: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], tuple]]:
+def intervals(report: Mapping[str, Any]) -> Iterator[tuple[tuple[str, str, str], tuple]]:
     """`(effect, joint, parameter)` and `((low, high), unit)` of what a report has intervals of;
     numbers of servos go by their own name.
     """

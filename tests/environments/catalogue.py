@@ -12,11 +12,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.attribution.acting import ActingModel, Values, compliant
+from adaptsim_jax.attribution.in_mjcf import columns_of
 from adaptsim_jax.attribution.model_toml import applied
 from adaptsim_jax.attribution.simulate import Scheme, measure, simulate, with_drives
 from adaptsim_jax.core import config
 from adaptsim_jax.effects.joints.catalogue import MACHINE
-from adaptsim_jax.environments.found_laws import columns_of
 from adaptsim_jax.environments.mended import declared_machine, mended
 from adaptsim_jax.environments.own import ModelEnvironment
 from adaptsim_jax.environments.setting import environment

@@ -163,7 +163,7 @@ SPRING = Effect(
 BIAS = Effect(
     "bias",
     "force",
-    (Quantity("torque", "N m", -1.0, 1.0),),
+    (Quantity("torque", "N m", -1.0, 1.0, mjcf="torque"),),
     bias,
     "a constant torque: the torque sensor's zero, a cable's pull",
     "a wide range of angles",
@@ -208,7 +208,7 @@ HARD_STOP = Effect(
     "hard_stop",
     "force",
     (
-        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1),
+        Quantity("stiffness", "N m/rad", 0.0, 300.0, sign=1, mjcf="stop"),
         Quantity("angle", "rad", -100.0, 100.0, 1.5, shape=True),
         Quantity("side", "1", -1.0, 1.0, 1.0, shape=True, held=True),
         Quantity("loss", "s", 0.0, 1.0, shape=True, optional=True),

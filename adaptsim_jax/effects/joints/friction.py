@@ -158,7 +158,7 @@ LOAD_FRICTION = Effect(
 QUADRATIC_DRAG = Effect(
     "quadratic_drag",
     "force",
-    (Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1),),
+    (Quantity("drag", "N m s^2/rad^2", 0.0, 2.0, sign=1, mjcf="drag"),),
     quadratic_drag,
     "air drag or turbulent oil: torque with the square of speed",
     "a wide range of speeds",

@@ -124,7 +124,7 @@ def encoder_scale(p, t, q, v, first):
 ENCODER_OFFSET = Effect(
     "encoder_offset",
     "measurement",
-    (Quantity("offset", "rad", -0.8, 0.8),),
+    (Quantity("offset", "rad", -0.8, 0.8, mjcf="ref"),),
     encoder_offset,
     "the encoder's zero is not the model's",
     "wide angles under gravity",
