@@ -307,7 +307,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         raise ValueError("a choice of mujoco has read its files")
     found = mujoco_replayed(source, log, horizon)
     remarks = (
-        *_shorter(horizon, found.span),
+        *_shorter(horizon, found.span, max(float(np.ptp(t.time)) for t in log.trials)),
         f"simulated by MuJoCo at the file's own step: {choice.why}",
     )
     s, model, names = found.stretches, found.made.model, log.joint_names
