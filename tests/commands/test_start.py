@@ -66,6 +66,8 @@ def test_every_command_takes_a_seed():
         "robot": ["next", "--dir", "d"],
         "parity": ["pendulum"],
         "replay": ["m", "d"],
+        "excite": ["m"],
+        "export": ["o", "--as", "json"],
         "sweep": ["show", "d"],
         "new": ["effect", "e"],
         "completion": ["bash"],

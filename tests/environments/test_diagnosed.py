@@ -108,7 +108,7 @@ def test_the_first_mean_of_e_is_known_within_a_traced_program(folder):
 def test_an_environment_takes_a_model_by_name_and_a_mass_on_a_table_does_not():
     with pytest.raises(BadInput, match=r"nowhere/model\.toml"):
         make_task("environment", {"env": "cartpole", "model": "nowhere/model.toml"})
-    with pytest.raises(BadInput, match="not in this version yet"):
+    with pytest.raises(BadInput, match="unknown key 'model'"):
         make_task("scooping", {"model": "nowhere/model.toml"})
 
 
