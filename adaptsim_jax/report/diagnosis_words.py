@@ -161,8 +161,23 @@ def _files(report: Mapping) -> str:
         return ""
     if not good:
         return f"Keep the declared file for simulation: {worse}. Look where the rest sits."
-    reason = worse or "the other is worse at a joint"
-    return f"Simulate with {fmt.listing(good)} alone: {reason}."
+    return f"Simulate with {fmt.listing(good)} alone: {worse or _behind(report, good[0])}."
+
+
+def _behind(report: Mapping, best: str) -> str:
+    """Where a file that is no worse than the declared one is farthest behind the best, and by how
+    much.
+    """
+    files = report["files"]
+    pairs = [
+        (name, row, first)
+        for name in files
+        for row, first in zip(_in_order(files[name]), _in_order(files[best]), strict=True)
+    ]
+    name, row, first = max(pairs, key=lambda pair: pair[1]["after"] / pair[2]["after"])
+    after, least = (fmt.quantity(z["after"], row["unit"]) for z in (row, first))
+    place = f"{plain(row['joint'])} over {row['over']}"
+    return f"{name} leaves {after} at {place}, where it leaves {least}"
 
 
 def recommended(report: Mapping) -> list[str]:
