@@ -37,7 +37,7 @@ def columns_of(one: Machine) -> dict[tuple[str, str], np.ndarray]:
 
 
 def giving_joints(columns: Columns, n: int) -> np.ndarray:
-    """Joints [n] whose drive gives."""
+    """[n], whether the drive of a joint winds up under torque."""
     some = [columns[e, "compliance"] > 0.0 for e in DRIVES if (e, "compliance") in columns]
     return np.any([np.zeros(n, bool), *some], axis=0)
 

@@ -46,10 +46,10 @@ def run(args: argparse.Namespace) -> int:
             found = excited(may, search, after, report)
         write_bytes(out / "motion.csv", csv_of(may, found).encode())
         write_json(out / "trajectory.json", trajectory_of(may, found))
-        written = {"schema": 1, "model": args.model, "after": args.after, "notes": may.told}
+        written = {"schema": 1, "model": args.model, "after": args.after, "notes": may.notes}
         write_json(out / "shown.json", written | {"shown": found.rows})
         save_motion(may, found, out / "motion.png")
-    for line in may.told:
+    for line in may.notes:
         print(f"note: {line}")
     _print(found.rows)
     print(f"written: {out}/motion.csv, trajectory.json, shown.json, motion.png")

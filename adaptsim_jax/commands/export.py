@@ -22,7 +22,7 @@ RUN_BY_MJX = ("playground", "brax")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write a diagnosis for another tool, and say what arrived there."""
+    """Write the files for another tool, and print which effects these hold."""
     from adaptsim_jax.commands.parser import next_step, output
     from adaptsim_jax.core.files import write_bytes
     from adaptsim_jax.mend.export import TOOLS, carried, read_diagnosis, written

@@ -118,7 +118,7 @@ class Bodies:
 @dataclass(frozen=True)
 class Allowed:
     """Of n driven joints `home`, and limits less their margins, [n]: `low`, `high` rad (m), `speed`
-    rad/s (m/s), `torque` N m (N). told: what was assumed or left out, a sentence each.
+    rad/s (m/s), `torque` N m (N). notes: what was assumed or left out, a sentence each.
     """
 
     mechanism: Mechanism
@@ -128,7 +128,7 @@ class Allowed:
     high: np.ndarray
     speed: np.ndarray
     torque: np.ndarray
-    told: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 def allowed(path: str | os.PathLike, margins: Margins = MARGINS) -> Allowed:
@@ -149,25 +149,25 @@ def allowed(path: str | os.PathLike, margins: Margins = MARGINS) -> Allowed:
                 "of the joints is its own; hang it up, and give a file without that joint"
             )
     mechanism = _driven(source)
-    told = [note for note in mechanism.notes if note.startswith("held")]
+    notes = [note for note in mechanism.notes if note.startswith("held")]
     pose, coordinates = _coordinates(source, mechanism)
-    solid = _solid(str(path), margins, told)
+    solid = _solid(str(path), margins, notes)
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EQUALITY
     bodies = Bodies(model, solid, pose, coordinates, margins.clearance)
     first = {c.joint: c for c in reversed(coordinates)}
     home = np.array([(pose[c.qpos] - c.offset) / c.factor for _, c in sorted(first.items())])
-    low, high = _ranges(mechanism, home, margins, told)
+    low, high = _ranges(mechanism, home, margins, notes)
     home = np.clip(home, low, high)
-    speed = margins.speed * _speeds(source, mechanism, margins, told)
-    torque = margins.torque * _limits(mechanism, model, coordinates, told)
+    speed = margins.speed * _speeds(source, mechanism, margins, notes)
+    torque = margins.torque * _limits(mechanism, model, coordinates, notes)
     near = bodies.near(home)
     least = {pair: 0.0 if gap > 0.0 else -np.inf for pair, gap in near.items()}
     if near:
         pairs = few(["-".join(solid.body(b).name for b in pair) for pair in near])
-        told.append(f"touch or nearly so at home, and may go on to: {pairs}")
+        notes.append(f"touch or nearly so at home, and may go on to: {pairs}")
     bodies = replace(bodies, least=least)
-    return Allowed(mechanism, bodies, home, low, high, speed, torque, tuple(told))
+    return Allowed(mechanism, bodies, home, low, high, speed, torque, tuple(notes))
 
 
 def _driven(source: Source) -> Mechanism:
@@ -198,19 +198,21 @@ def _coordinates(source: Source, m: Mechanism) -> tuple[np.ndarray, tuple[Coordi
 
 
 def _ranges(
-    m: Mechanism, home: np.ndarray, margins: Margins, told: list[str]
+    m: Mechanism, home: np.ndarray, margins: Margins, notes: list[str]
 ) -> tuple[np.ndarray, np.ndarray]:
     tree = m.tree
     turns, limited = np.array([k == "hinge" for k in tree.kinds]), np.array(tree.limited)
     wide = np.where(turns, margins.turn, margins.slide)
     low, high = np.where(limited[:, None], tree.range, np.stack([home - wide, home + wide], 1)).T
     if not limited.all():
-        _tell(told, "range", ~limited, m, f"{margins.turn} rad or {margins.slide} m from home")
+        _note_missing(
+            notes, "range", ~limited, m, f"{margins.turn} rad or {margins.slide} m from home"
+        )
     kept = np.where(limited, margins.range * (high - low), 0.0)
     return low + kept, high - kept
 
 
-def _speeds(source: Source, m: Mechanism, margins: Margins, told: list[str]) -> np.ndarray:
+def _speeds(source: Source, m: Mechanism, margins: Margins, notes: list[str]) -> np.ndarray:
     """Speed limits [n]; MJCF has none."""
     known: dict[str, float] = {}
     if source.kind == "urdf":
@@ -222,11 +224,13 @@ def _speeds(source: Source, m: Mechanism, margins: Margins, told: list[str]) -> 
     default = {"hinge": margins.turning, "slide": margins.sliding}
     without = np.array([name not in known for name in names])
     if without.any():
-        _tell(told, "speed limit", without, m, f"{margins.turning} rad/s, {margins.sliding} m/s")
+        _note_missing(
+            notes, "speed limit", without, m, f"{margins.turning} rad/s, {margins.sliding} m/s"
+        )
     return np.array([known.get(n, default[k]) for n, k in zip(names, kinds, strict=True)])
 
 
-def _limits(m: Mechanism, model: mujoco.MjModel, coordinates, told: list[str]) -> np.ndarray:
+def _limits(m: Mechanism, model: mujoco.MjModel, coordinates, notes: list[str]) -> np.ndarray:
     """Torque limits [n]: of actuators together, and of the joints."""
     n = m.tree.n
     sums = np.zeros(n)
@@ -241,13 +245,15 @@ def _limits(m: Mechanism, model: mujoco.MjModel, coordinates, told: list[str]) -
         if model.jnt_actfrclimited[k] and c.factor == 1.0:
             sums[c.joint] = np.fmin(sums[c.joint], np.abs(model.jnt_actfrcrange[k]).min())
     if (without := np.isnan(sums)).any():
-        _tell(told, "torque limit", without, m, "none")
+        _note_missing(notes, "torque limit", without, m, "none")
     return np.where(without, np.inf, sums)
 
 
-def _tell(told: list[str], what: str, without: np.ndarray, m: Mechanism, taken: str) -> None:
+def _note_missing(
+    notes: list[str], what: str, without: np.ndarray, m: Mechanism, taken: str
+) -> None:
     names = few([m.tree.joint_names[j] for j in np.flatnonzero(without)])
-    told.append(f"the file has no {what} of {names}: {taken} is taken")
+    notes.append(f"the file has no {what} of {names}: {taken} is taken")
 
 
 def few(names: Sequence[str]) -> str:
@@ -256,7 +262,7 @@ def few(names: Sequence[str]) -> str:
     return ", ".join(names[:MOST_NAMED]) + more
 
 
-def _solid(path: str, margins: Margins, told: list[str]) -> mujoco.MjModel:
+def _solid(path: str, margins: Margins, notes: list[str]) -> mujoco.MjModel:
     """The model for contacts. Bodies without shapes get capsules to their children, and a file
     without surroundings a floor.
     """
@@ -282,10 +288,10 @@ def _solid(path: str, margins: Margins, told: list[str]) -> mujoco.MjModel:
             )
     if bare:
         names = few([model.body(b).name for b in bare])
-        told.append(f"no shape that collides is at hand of {names}: capsules stand for them")
+        notes.append(f"no shape that collides is at hand of {names}: capsules stand for them")
     if 0 not in solid:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
-        told.append("the file has no surroundings: a floor at z = 0 is taken")
+        notes.append("the file has no surroundings: a floor at z = 0 is taken")
     made = compiled(path, spec)
     made.geom_margin[:] = margins.clearance
     return made

@@ -46,7 +46,7 @@ COLUMNS = {"playground": "mjx", "brax": "mjx"}
 
 
 @dataclass(frozen=True)
-class Drive:
+class JointDrive:
     """An actuator at a joint, in numbers of the joint: N m/rad, N m s/rad, N m, s.
 
     kind: position, velocity or motor; limit None: nothing bounds it; delay: shortest and longest.
@@ -88,7 +88,8 @@ class Row:
         """Ends of the range over the centre."""
         if not self.centre:
             return FACTORS
-        return tuple(sorted((self.low / self.centre, self.high / self.centre)))
+        low, high = sorted((self.low / self.centre, self.high / self.centre))
+        return low, high
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ class Diagnosis:
         return [_row(one) for one in self.random.rows]
 
     @cached_property
-    def drives(self) -> list[Drive]:
+    def drives(self) -> list[JointDrive]:
         """Actuators at joints."""
         some = range(self.model.nu)
         return [_drive(self, k) for k in some if int(self.model.actuator_trntype[k]) in JOINTS]
@@ -172,7 +173,7 @@ def _row(one: Randomised) -> Row:
     return Row(one.name, kind, parts[0], ".".join(parts[1:]), *numbers, one.because)
 
 
-def _drive(d: Diagnosis, k: int) -> Drive:
+def _drive(d: Diagnosis, k: int) -> JointDrive:
     m, joint = d.model, int(d.model.actuator_trnid[k, 0])
     name, dof, gear = m.joint(joint).name, int(m.jnt_dofadr[joint]), float(m.actuator_gear[k, 0])
     gain, bias = m.actuator_gainprm[k], m.actuator_biasprm[k]
@@ -181,7 +182,7 @@ def _drive(d: Diagnosis, k: int) -> Drive:
     limits += [np.abs(m.jnt_actfrcrange[joint]).max()] * bool(m.jnt_actfrclimited[joint])
     late = {r.element: (r.low, r.high) for r in d.rows if r.attribute == "delay.delay"}
     delay = float(m.actuator_delay[k])
-    return Drive(
+    return JointDrive(
         name,
         m.actuator(k).name,
         kind,
@@ -313,5 +314,5 @@ def filled(template: str, **values: Any) -> str:
 
 
 def _number(value: float) -> str:
-    """As Python reads it."""
+    """A number as a literal of Python."""
     return f"{value:.8g}" if math.isfinite(value) else f'float("{value}")'

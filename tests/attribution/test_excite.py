@@ -90,8 +90,8 @@ def test_limits_are_those_of_the_file(tmp_path):
     may = allowed(written(tmp_path, "arm"))
     assert may.torque == pytest.approx(0.7 * np.array([30.0, 12.0, 2.0]))
     assert may.low[:2] == pytest.approx([-1.8, -2.7]) and may.high[2] == pytest.approx(1.5)
-    told = " ".join(may.told)
-    assert "range of wrist" in told and "speed limit of shoulder" in told and "floor" in told
+    notes = " ".join(may.notes)
+    assert "range of wrist" in notes and "speed limit of shoulder" in notes and "floor" in notes
 
 
 URDF = """<robot name="a"><link name="base"/><link name="swing"><inertial><origin xyz="0 0 -0.1"/><mass value="1"/>
@@ -105,7 +105,7 @@ def test_a_urdf_has_limits_of_speed_and_torque(tmp_path):
     path.write_text(URDF)
     may = allowed(path)
     assert may.speed == pytest.approx(0.7 * 3.0) and may.torque == pytest.approx(0.7 * 12.0)
-    assert may.high == pytest.approx(0.9) and "limit" not in " ".join(may.told)
+    assert may.high == pytest.approx(0.9) and "limit" not in " ".join(may.notes)
 
 
 def test_bodies_that_would_touch_are_seen(tmp_path):

@@ -200,10 +200,10 @@ def identified(
         found = polished(whole, without(whole, found, worse, file), rounds=2)
         found, members = _borne_out(whole, found, file, notify, seen)
     notify("whole trials in finer steps")
-    whole, found = _in_settled_steps(whole, polished(whole, found.model))
-    after = left_out_errors(whole, found)
-    shown = gain_shown(whole, found), scale_shown(whole, found)
-    return ServoLaws(whole.recording, found, members, before, after, whole, instead, *shown)
+    fine, found = _in_settled_steps(whole, polished(whole, found.model))
+    after = left_out_errors(fine, found)
+    shown = gain_shown(fine, found), scale_shown(fine, found)
+    return ServoLaws(fine.recording, found, members, before, after, fine, instead, *shown)
 
 
 def _in_settled_steps(whole: WholeTrials, found: Polished) -> tuple[WholeTrials, Polished]:

@@ -101,8 +101,8 @@ def or_plain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> P
     start = without(whole, found, more, file)
     fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
     rival = polished(whole, replace(start, fits=fits))
-    carried = rival.model.laws[0].payload
-    if carried > 0.0 and left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+    payload = rival.model.laws[0].payload
+    if payload > 0.0 and left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
         return rival
     return found
 
