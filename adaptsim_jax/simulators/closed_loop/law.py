@@ -319,7 +319,7 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "delay": (0.0, CLOSED_LOOP.history - 0.02),
         "lag": (0.0, 0.5),
         "rotor": (-servo.armature, np.inf),
-        "payload": (-0.8 * scales.hand, np.inf),
+        "payload": (0.0, np.inf),  # a mass that is missing leaves a body that cannot be
         "lift": (-1.0, 2.0),
         "offset": (-0.3, 0.3),
         "zero": (-0.3, 0.3),
