@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 from scipy import stats
+from scipy.optimize import lsq_linear
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
@@ -133,6 +134,20 @@ def solved(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
     scaled = hess / size[:, None] / size + 1e-9 * np.eye(len(size))
     answer = np.linalg.lstsq(scaled, (right.T / size).T, rcond=1e-12)[0]
     return (answer.T / size).T
+
+
+def solved_within(
+    hess: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray
+) -> np.ndarray:
+    """Step [K] of least squares by normal equations within [low, high]; scaled as `solved`."""
+    if not len(right):
+        return right
+    size = np.sqrt(np.maximum(np.diag(hess), 1e-300))
+    value, vector = np.linalg.eigh(hess / size[:, None] / size + 1e-9 * np.eye(len(size)))
+    root = np.sqrt(np.maximum(value, 1e-12))
+    rows, aim = root[:, None] * vector.T, -(vector.T @ (right / size)) / root
+    step = lsq_linear(rows, aim, (low * size, high * size), method="bvls").x / size
+    return np.clip(step, low, high)
 
 
 def fitted(problem: JointProblem, fit: LawFit, rounds: int = CLOSED_LOOP.rounds) -> LawFit:

@@ -311,10 +311,9 @@ def moved(
     return bounded(servo, scales, ServoLaw(**new), free)
 
 
-def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
-    """The law with what is fitted of it within its range."""
-    new = law._asdict()
-    ranges = {
+def ranges(servo: Servo) -> dict[str, tuple[float, float]]:
+    """Least and largest value of the numbers that have one."""
+    return {
         "rub": (0.0, np.inf),
         "delay": (0.0, CLOSED_LOOP.history - 0.02),
         "lag": (0.0, 0.5),
@@ -328,9 +327,14 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
         "reach": (-0.2 * CLOSED_LOOP.reach, CLOSED_LOOP.reach),
         "spring": (0.0, np.inf),
     }
-    for name in free:
-        if name in ranges:
-            new[name] = float(np.clip(new[name], *ranges[name]))
+
+
+def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
+    """The law with what is fitted of it within its range."""
+    new = law._asdict()
+    for name, ends in ranges(servo).items():
+        if name in free:
+            new[name] = float(np.clip(new[name], *ends))
     if "rub" in free and not servo.follows_speed:
         # friction beyond what the servo itself can give is none
         new["rub"] = min(new["rub"], 2.0 * new["kp"] * scales.error)

@@ -15,10 +15,10 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     paired_t,
     prior_of,
     pulled,
-    solved,
+    solved_within,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved, ranges
 from adaptsim_jax.simulators.closed_loop.whole import (
     blocks_of,
     simulated,
@@ -43,6 +43,8 @@ STEP = {
 }
 OTHER_STEP = 0.01
 SHARED_BY_ALL = -1
+Coordinate = tuple[int, str]
+"""(joint, name)."""
 
 
 @dataclass(frozen=True)
@@ -130,16 +132,33 @@ class WholeTrials:
             own = np.array([at[j, n] for n in fit.free])
             law = moved(p.servo, p.scales, fit.law, fit.free, own) if fit.free else fit.law
             for name in model.shared:
-                value = getattr(law, name) + at[SHARED_BY_ALL, name] * p.scales.unit(name)
-                if name == "rotor":  # one value of like rotors
-                    value = getattr(law, name) + at[SHARED_BY_ALL, name] * self.rotor_unit
+                unit = self.unit(p, (SHARED_BY_ALL, name))
+                value = getattr(law, name) + at[SHARED_BY_ALL, name] * unit
                 law = bounded(p.servo, p.scales, law._replace(**{name: value}), (name,))
             fits.append(fit.of(law))
         return FittedServos(tuple(fits), model.shared)
 
+    def room(self, model: FittedServos, most: float) -> tuple[np.ndarray, np.ndarray]:
+        """How far each coordinate may go, down and up, [K]: at most `most`."""
+        low = {c: -most for c in model.coordinates}
+        high = {c: most for c in model.coordinates}
+        for j, (fit, p) in enumerate(zip(model.fits, self.problems, strict=True)):
+            ends = ranges(p.servo)
+            for at in [(j, n) for n in fit.free] + [(SHARED_BY_ALL, n) for n in model.shared]:
+                if (name := at[1]) not in ends:
+                    continue
+                unit = self.unit(p, at)
+                down, up = ((end - getattr(fit.law, name)) / unit for end in ends[name])
+                low[at], high[at] = max(low[at], min(down, 0.0)), min(high[at], max(up, 0.0))
+        return np.array([*low.values()]), np.array([*high.values()])
+
+    def unit(self, problem: JointProblem, at: Coordinate) -> float:
+        """The size of a coordinate of 1."""
+        return self.rotor_unit if at == (SHARED_BY_ALL, "rotor") else problem.scales.unit(at[1])
+
     @property
     def rotor_unit(self) -> float:
-        """The size of a shared rotor, kg m^2."""
+        """The size of a rotor of one value for all joints, kg m^2."""
         return float(np.median([p.scales.inertia for p in self.problems]))
 
     def pulled(self, model: FittedServos) -> float:
@@ -174,7 +193,8 @@ def polished(whole: WholeTrials, model: FittedServos, rounds: int = 8) -> Polish
         total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
         sizes = damping * np.array([1e-3, 1.0, 30.0, 1e3])
         own = np.diag(np.diag(total))
-        steps = [np.clip(-solved(total + z * own, right), -0.7, 0.7) for z in sizes]
+        room = whole.room(model, 0.7)
+        steps = [solved_within(total + z * own, right, *room) for z in sizes]
         tries = [whole.moved(model, step) for step in steps]
         every = whole.errors([t.laws for t in tries])
         loss = [
@@ -188,7 +208,7 @@ def polished(whole: WholeTrials, model: FittedServos, rounds: int = 8) -> Polish
         damping = float(np.clip(sizes[best], 1e-7, 1e3))
         if loss[best] > before * (1.0 - CLOSED_LOOP.settled):
             rounds = 0
-    return Polished(model, error, hess, slope, _jackknifed(whole, hess, slope, _pull(whole, model)))
+    return Polished(model, error, hess, slope, _jackknifed(whole, model, hess, slope))
 
 
 def _linearised(whole: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
@@ -220,15 +240,14 @@ def _pull(whole: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarr
     return hess, slope
 
 
-def _jackknifed(whole: WholeTrials, hess, slope, prior) -> np.ndarray:
+def _jackknifed(whole: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
+    prior = _pull(whole, model)
     groups = whole.problems[0].groups
-    if not hess.shape[1]:
-        return np.zeros((len(groups), 0))
     total, right = hess.sum(0) + prior[0], slope.sum(0) + prior[1]
-    here = solved(total, right)
-    return np.array(
-        [here - solved(total - hess[g].sum(0), right - slope[g].sum(0)) for g in groups]
-    )
+    room = whole.room(model, 0.7)
+    here = solved_within(total, right, *room)
+    every = [solved_within(total - hess[g].sum(0), right - slope[g].sum(0), *room) for g in groups]
+    return np.array(every) - here
 
 
 def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
@@ -245,9 +264,6 @@ def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
         rows = np.isin(whole.block, group)
         out[rows] = error[rows]
     return out
-
-
-Coordinate = tuple[int, str]
 
 
 def without(
@@ -269,7 +285,8 @@ def without(
     prior_hess, prior_slope = _pull(whole, model)
     hess, slope = found.hess.sum(0) + prior_hess, found.slope.sum(0) + prior_slope
     rest = slope[stay] + hess[stay] @ off
-    return whole.moved(new, np.clip(-solved(hess[np.ix_(stay, stay)], rest), -0.5, 0.5))
+    room = whole.room(new, 0.5)
+    return whole.moved(new, solved_within(hess[np.ix_(stay, stay)], rest, *room))
 
 
 def _returned(law: ServoLaw, base: ServoLaw, names: Sequence[str], free: Sequence[str]) -> ServoLaw:
@@ -307,8 +324,7 @@ def _distance(whole: WholeTrials, model: FittedServos, new: FittedServos, at: Co
         return times("damping") - times("kp")
     if name == "limit":
         return 0.0
-    unit = whole.rotor_unit if at == (SHARED_BY_ALL, "rotor") else p.scales.unit(name)
-    return (getattr(other, name) - getattr(one, name)) / unit
+    return (getattr(other, name) - getattr(one, name)) / whole.unit(p, at)
 
 
 def over_noise(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
