@@ -32,6 +32,8 @@ class ClosedLoopCriteria:
     units: float = 5.0
     # times the noise, that one number which explains all leaves at most after three rounds
     hopeful: float = 10.0
+    brief: float = 8.0  # s of each trial, over which one number that explains all is tried first
+    hopeless: float = 1.0  # log of what is left over the noise, joints' sum: so much worse is lost
     enough: float = 2.0  # times the noise, that a joint with nothing more to find leaves at most
     far: float = 4.0  # times the noise, beyond which a piece lacks something
     helped: int = 2  # pieces that come from there to `enough`: they show a number by themselves
@@ -51,6 +53,8 @@ class ClosedLoopCriteria:
     # times kp, or the whole scale: a joint that is simulated alike by that does not show it
     other_gain: float = 1.3
     clearly: float = 0.1  # of the squared error (log), that such a law must leave more at least
+    # logarithms of factors of a servo's whole law, from which a fit over whole trials begins again
+    scales: tuple[float, ...] = (-2.0, -1.0, 1.0, 2.0)
     near: float = 0.01  # m: a centre of mass that is nearer to its joint shows no way outward
     tool: float = 0.1  # m, of the same, where fits begin: most tools are that long
     reach: float = 0.5  # m, at most, from a body's centre of mass to that of what it carries

@@ -48,6 +48,7 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     or_files_gain,
     or_heavier,
     or_other_friction,
+    or_other_scale,
     or_plain,
     or_rival,
     or_stepped,
@@ -278,7 +279,7 @@ def _of_whole_trials(
     stepped = [n for n in STEPPED if n != "shift" or not late]
     model = replace(model, shared=(*model.shared, *stepped))
     found = or_other_friction(whole, polished(whole, with_mass(whole.recording, model)))
-    found = or_plain(whole, found, file)
+    found = or_other_scale(whole, or_plain(whole, found, file))
     file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
     found = or_files_gain(whole, or_stepped(whole, found, file), file)
     found = or_rival(whole, found, file)

@@ -36,6 +36,12 @@ class Trial:
     begins: dict[str, float] = field(default_factory=dict)
     others: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def first(self, rows: int) -> "Trial":
+        """Its first rows."""
+        others = {name: u[:rows] for name, u in self.others.items()}
+        cut = self.time[:rows], self.q[:rows], self.target[:rows]
+        return Trial(self.name, *cut, self.begins, others)
+
 
 @dataclass(frozen=True)
 class TrialMotion:

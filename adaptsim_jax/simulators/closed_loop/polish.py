@@ -3,7 +3,7 @@ out there returned to the file's.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -116,6 +116,19 @@ class WholeTrials:
         else:
             paths = simulated(self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
+
+    def first(self, seconds: float) -> "WholeTrials":
+        """The same of each trial's first so many seconds."""
+        recording, rows, counted = self.recording, [], []
+        ends = np.cumsum([len(t.time) for t in recording.trials])
+        for t, own in zip(recording.trials, np.split(self.counted, ends[:-1]), strict=True):
+            rows.append(max(2, int(np.searchsorted(t.time, seconds))))
+            counted.append(own[: rows[-1]])
+        trials = tuple(t.first(n) for t, n in zip(recording.trials, rows, strict=True))
+        pieces = tuple((k, min(a, rows[k]), min(b, rows[k] - 1)) for k, a, b in recording.pieces)
+        recording = replace(recording, trials=trials, pieces=pieces)
+        block = blocks_of(recording)
+        return replace(self, recording=recording, block=block, counted=np.concatenate(counted))
 
     def by_piece(self, error: np.ndarray) -> np.ndarray:
         """Sums of squares [P, n]."""

@@ -55,6 +55,16 @@ def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
     return FittedServos(fits, tuple(dict.fromkeys((*model.shared, *CARRIED))))
 
 
+def _rival(whole: WholeTrials, model: FittedServos, found: Polished) -> Polished:
+    """Other servos fitted to whole trials; a few rounds alone where these leave far more than what
+    was found.
+    """
+    rival = polished(whole, model, rounds=3)
+    if left_over(whole, rival) > left_over(whole, found) + CLOSED_LOOP.hopeless:
+        return rival
+    return polished(whole, rival.model, rounds=5)
+
+
 def or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
     """The servos with a shared number's rival in its place, where that leaves less."""
     for names, others in RIVALS:
@@ -70,7 +80,7 @@ def or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> P
                 own["reach"] = CLOSED_LOOP.tool
             fits.append(fit.of(fit.law._replace(**own)))
         rest = tuple(n for n in shared if n not in names)
-        rival = polished(whole, FittedServos(tuple(fits), (*others, *rest)))
+        rival = _rival(whole, FittedServos(tuple(fits), (*others, *rest)), found)
         if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
             return rival
     return found
@@ -100,7 +110,7 @@ def or_plain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> P
         return found
     start = without(whole, found, more, file)
     fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
-    rival = polished(whole, replace(start, fits=fits))
+    rival = _rival(whole, replace(start, fits=fits), found)
     payload = rival.model.laws[0].payload
     if payload > 0.0 and left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
         return rival
@@ -112,10 +122,36 @@ def or_stepped(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) ->
     rotors = [(j, "rotor") for j, f in enumerate(found.model.fits) if "rotor" in f.free]
     if not rotors:
         return found
-    rival = polished(whole, without(whole, found, rotors, file))
+    rival = _rival(whole, without(whole, found, rotors, file), found)
     if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
         return rival
     return found
+
+
+def or_other_scale(whole: WholeTrials, found: Polished) -> Polished:
+    """With servos of single joints times another factor, where that leaves less of whole trials:
+    where motion hardly shows the scale, a limit or an end of friction's range may hold it.
+    """
+    model, sizes = found.model, (0.0, *CLOSED_LOOP.scales)
+    joints = range(len(model.fits))
+    machines = [[_scaled(whole, model, j, z) for j in joints] for z in sizes]
+    left = np.array([over_noise(whole, e) for e in whole.errors(machines)])
+    best = left.argmin(0)
+    best[np.log(left[0] / left.min(0)) < CLOSED_LOOP.gain] = 0
+    if not best.any():
+        return found
+    fits = tuple(f.of(machines[best[j]][j]) for j, f in enumerate(model.fits))
+    rival = _rival(whole, replace(model, fits=fits), found)
+    return min((found, rival), key=lambda f: left_over(whole, f))
+
+
+def _scaled(whole: WholeTrials, model: FittedServos, j: int, z: float) -> ServoLaw:
+    """The law of a joint with all that was fitted of its servo times e^z; the same where its scale
+    is not fitted.
+    """
+    fit, p = model.fits[j], whole.problems[j]
+    step = np.array([z * (name == "scale") for name in fit.free])
+    return moved(p.servo, p.scales, fit.law, fit.free, step)
 
 
 def left_over(whole: WholeTrials, found: Polished) -> float:
@@ -145,7 +181,7 @@ def or_heavier(
     if "payload" not in model.shared:
         fits = [f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits]
     shared = tuple(dict.fromkeys((*model.shared, *CARRIED)))
-    rival = polished(whole, FittedServos(tuple(fits), shared), rounds=8)
+    rival = _rival(whole, FittedServos(tuple(fits), shared), found)
     if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
         return rival, joints
     return found, ()
@@ -161,7 +197,7 @@ def or_files_gain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw])
     fits = list(found.model.fits)
     for j in cut:
         fits[j] = fits[j].of(fits[j].law._replace(kp=file[j].kp))
-    rival = polished(whole, replace(found.model, fits=tuple(fits)))
+    rival = _rival(whole, replace(found.model, fits=tuple(fits)), found)
     return min((found, rival), key=lambda f: left_over(whole, f))
 
 
@@ -173,13 +209,7 @@ def gain_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
 
 def scale_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
     """Whether they show the scale of all that was fitted of each joint's servo together."""
-
-    def other(j: int, z: float) -> ServoLaw:
-        fit, p = found.model.fits[j], whole.problems[j]
-        step = np.array([z * (name == "scale") for name in fit.free])
-        return moved(p.servo, p.scales, fit.law, fit.free, step)
-
-    return _shown(whole, found, other)
+    return _shown(whole, found, lambda j, z: _scaled(whole, found.model, j, z))
 
 
 def _shown(
@@ -215,9 +245,14 @@ def one_shared(
         rest = [n for n in stepped if n != "shift" or names[0] not in LATE]
         reach = CLOSED_LOOP.tool if names is CARRIED else 0.0
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
-        begun = polished(whole, FittedServos(fits, (*names, *rest)), rounds=3)
-        if over_noise(whole, begun.errors).max() < CLOSED_LOOP.hopeful:
-            found.append(polished(whole, begun.model))
+        model = FittedServos(fits, (*names, *rest))
+        for part in (whole.first(CLOSED_LOOP.brief), whole):
+            begun = polished(part, model, rounds=3)
+            model = begun.model
+            if over_noise(part, begun.errors).max() > CLOSED_LOOP.hopeful:
+                break
+        else:
+            found.append(polished(whole, model))
     best = min(found, key=lambda f: left_over(whole, f), default=None)
     if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
         return None
