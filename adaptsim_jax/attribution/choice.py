@@ -89,7 +89,9 @@ def _needs(source: Source, log: Log) -> str:
         mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
     except BadInput as error:  # nothing of a tree is left, or too much of it
         return str(error).removeprefix(f"{source.path}: ").split(";")[0]
-    beyond = mechanism.beyond + (mechanism.drives_beyond if log.input_kind == "command" else ())
+    beyond = mechanism.unsupported + (
+        mechanism.unsupported_drives if log.input_kind == "command" else ()
+    )
     return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
 
 

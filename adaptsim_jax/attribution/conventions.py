@@ -55,7 +55,7 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
     if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
         return None
     if machine.log.input_kind == "command" and (
-        np.any(machine.actuator[2:4]) or machine.mechanism.drives_beyond
+        np.any(machine.actuator[2:4]) or machine.mechanism.unsupported_drives
     ):
         return (
             None  # a servo's force is of the angles themselves, and that of a muscle is not known
@@ -69,7 +69,7 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     """
     tree, log = machine.tree, machine.log
     program = _program(tree.n)
-    if log.input_kind == "command" and not machine.mechanism.drives_beyond:
+    if log.input_kind == "command" and not machine.mechanism.unsupported_drives:
         driven = [bool(gain) for gain in machine.actuator[0]]
         _check_order(machine, _design(tree, program), driven, ("q", "target"))
     warnings = check_commands(machine)

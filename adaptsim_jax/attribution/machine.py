@@ -128,8 +128,8 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
             delays[a.joint], lags[a.joint] = a.delay, a.lag
     declared = {(DELAY.name, "delay"): delays, (ACTUATOR_LAG.name, "lag"): lags}
     beyond = (
-        mechanism.beyond
-        + (mechanism.drives_beyond if commanded else ())
+        mechanism.unsupported
+        + (mechanism.unsupported_drives if commanded else ())
         + drives.beyond
         + _out_of_range(mechanism.tree, tracks)
     )

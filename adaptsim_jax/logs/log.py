@@ -223,25 +223,25 @@ def model_names(source: Source) -> ModelNames:
 
     from adaptsim_jax.mechanisms.roles import (
         BALL,
+        BALL_AXES,
         FREE,
-        JOINTS,
-        TURNS,
+        JOINT_TRANSMISSIONS,
+        coupled_joints,
         joint_names,
         tendon_joints,
-        ties,
     )
     from adaptsim_jax.mechanisms.switches import is_off
 
     model = source.model
     joints = joint_names(model)
-    tied = ties(source)
+    tied = coupled_joints(source)
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     slides = [model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == slide]
     parents, ranges, last = [], [], {0: -1}
     for b in range(1, model.nbody):
         on = last[int(model.body_parentid[b])]
         for k in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
-            for _ in range({BALL: len(TURNS), FREE: 0}.get(int(model.jnt_type[k]), 1)):
+            for _ in range({BALL: len(BALL_AXES), FREE: 0}.get(int(model.jnt_type[k]), 1)):
                 parents.append(on)
                 single = model.jnt_limited[k] and model.jnt_type[k] != BALL
                 ranges.append(tuple(map(float, model.jnt_range[k])) if single else None)
@@ -251,7 +251,7 @@ def model_names(source: Source) -> ModelNames:
     for k in range(model.nu):
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
         off = is_off(model, k)
-        moved = [model.joint(target).name] if trn in JOINTS and not off else []
+        moved = [model.joint(target).name] if trn in JOINT_TRANSMISSIONS and not off else []
         if trn == int(mujoco.mjtTrn.mjTRN_TENDON) and not off:
             moved = [model.joint(k).name for k in tendon_joints(model, target)]
         moves = tuple(
@@ -261,7 +261,7 @@ def model_names(source: Source) -> ModelNames:
         )
         if off:
             kind = "off"
-        elif trn in JOINTS:
+        elif trn in JOINT_TRANSMISSIONS:
             kind = _kind(model, k)
         elif moves:
             kind = "tendon"

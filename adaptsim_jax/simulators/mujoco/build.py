@@ -1,8 +1,8 @@
 """The model that is stepped: the user's file, its base welded where no pose of it was logged, and
 held what stands still.
 
-A joint that nothing was logged of is held where `roles.roles` has it. One in a loop that closes, or
-tied to others, moves as the model says.
+A joint that nothing was logged of is held where `assign_roles` has it. One in a loop that closes,
+or tied to others, moves as the model says.
 """
 
 from collections.abc import Callable, Collection
@@ -13,7 +13,15 @@ import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.log import Log
-from adaptsim_jax.mechanisms.roles import BALL, CONNECT, FREE, TIE, WELD, pose_of, upwards
+from adaptsim_jax.mechanisms.roles import (
+    BALL,
+    CONNECT,
+    FREE,
+    JOINT_EQUALITY,
+    WELD,
+    pose_of,
+    upwards,
+)
 from adaptsim_jax.mechanisms.spec import Source, read_spec, shapeless
 from adaptsim_jax.mechanisms.switches import has_off
 from adaptsim_jax.simulators.mujoco.sensed import Reading, feels, readings
@@ -226,7 +234,7 @@ def _tied(model: mujoco.MjModel, logged: Collection[str]) -> set[str]:
     for e in range(model.neq):
         if not model.eq_active0[e]:
             continue
-        if model.eq_type[e] == TIE:
+        if model.eq_type[e] == JOINT_EQUALITY:
             groups.append({int(k) for k in (model.eq_obj1id[e], model.eq_obj2id[e]) if k >= 0})
         elif model.eq_type[e] in (CONNECT, WELD):
             ends = [int(model.eq_obj1id[e]), int(model.eq_obj2id[e])]
