@@ -13,7 +13,7 @@ from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import Source
-from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
 from adaptsim_jax.simulators.mujoco.replay import replayed
 from adaptsim_jax.simulators.mujoco.touching import touching
 
@@ -92,7 +92,7 @@ def _needs(source: Source, log: Log) -> str:
     beyond = mechanism.unsupported + (
         mechanism.unsupported_drives if log.input_kind == "command" else ()
     )
-    return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
+    return "; ".join(beyond[:2]) or touching(make_stepped_model(source, log), log)
 
 
 def base_moves(log: Log) -> bool:

@@ -84,7 +84,7 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     if len(q) < 4:
         return Turns(q, 0)
     jump, dt = np.diff(q), np.diff(time)
-    gap = dt > WRAP.gap * np.median(dt)
+    gap = dt > WRAP.min_gap_rows * np.median(dt)
     period = _other_period(q, ~gap) or TURN
     near = jump - period * np.round(jump / period)
     speed = np.where(gap, np.nan, near / dt)
@@ -93,16 +93,16 @@ def without_turns(time: np.ndarray, q: np.ndarray) -> Turns:
     turns = np.round(excess / period)
     miss = np.abs(excess - turns * period)
     within = _within_one_period(q, period)
-    allowed = WRAP.share * period
-    in_gap = within & (miss < allowed) & (dt < WRAP.longest)
-    counted = np.where(gap, in_gap, miss < min(WRAP.near, allowed))
+    allowed = WRAP.gap_tolerance_share * period
+    in_gap = within & (miss < allowed) & (dt < WRAP.max_gap)
+    counted = np.where(gap, in_gap, miss < min(WRAP.turn_tolerance, allowed))
     taken = np.where(counted, turns, 0.0)
     between = ~gap & (
-        np.abs(near) > WRAP.jump * period
+        np.abs(near) > WRAP.min_jump_share * period
     )  # an encoder that wraps jumps by its period, or hardly moves
     if np.sum(between) >= np.count_nonzero(taken):
         taken = np.where(gap, taken, 0.0)
-    moved = np.abs(expected) > WRAP.jump * period
+    moved = np.abs(expected) > WRAP.min_jump_share * period
     unsure = gap & within & ~counted & (moved | (np.abs(jump) > WRAP.half * period))
     steps = tuple(np.flatnonzero(unsure).tolist())
     if not taken.any():
@@ -121,12 +121,14 @@ def followed_turns(q: np.ndarray, target: np.ndarray) -> np.ndarray:
         return target
     angle, u = q[here], target[here]
     begins = np.concatenate([[True], np.abs(np.diff(u)) > WRAP.half * TURN])
-    if begins.sum() > 1 and np.ptp(u) > WRAP.turn * TURN:  # what counts anew stays within a turn
+    if (
+        begins.sum() > 1 and np.ptp(u) > WRAP.max_turns * TURN
+    ):  # what counts anew stays within a turn
         return target
     first = np.maximum.accumulate(np.where(begins, np.arange(len(u)), 0))
     turns = np.round((angle - u) / TURN)[first]
     moved = u + TURN * turns
-    if not turns.any() or np.mean((moved - angle) ** 2) > WRAP.gain * np.mean((u - angle) ** 2):
+    if not turns.any() or np.mean((moved - angle) ** 2) > WRAP.min_gain * np.mean((u - angle) ** 2):
         return target
     out = target.copy()
     out[here] = moved
@@ -156,7 +158,7 @@ def _within_one_period(q: np.ndarray, period: float) -> bool:
     """Whether the angle never leaves one period from -period/2 or from 0, and comes near both of
     its ends.
     """
-    near, slack = WRAP.jump * period, WRAP.slack * period
+    near, slack = WRAP.min_jump_share * period, WRAP.slack * period
     low, high = float(q.min()), float(q.max())
     return any(
         start - slack <= low < start + near and end - near < high <= end + slack

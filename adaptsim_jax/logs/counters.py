@@ -23,7 +23,7 @@ def counted(trial: RawTrial) -> RawTrial:
         whole = len(steps) > 0 and np.all(missing >= 0) and np.all(missing == np.round(missing))
         if whole and np.any(missing) and not np.median(missing):
             usual = float(np.median(steps))
-            if np.ptp(steps) < JITTER.even * usual:
+            if np.ptp(steps) < JITTER.max_uneven_share * usual:
                 late = usual * np.concatenate([[0.0], np.cumsum(missing)])
                 columns[str(clock)] = columns[str(clock)] + late
                 note = f"{name} leaves out {missing.sum():.0f} rows, which even stamps deny: times"

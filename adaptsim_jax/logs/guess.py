@@ -270,6 +270,6 @@ def _unit_line(key: str, unit: str | Scale | Question, why: str) -> str:
         return f"# {_line(key, unit.unit)}   # guess, not taken: {why}"
     if not isinstance(unit, Scale):
         return f"{_line(key, unit)}   # guess: {why}"
-    if unit.known:
+    if unit.is_complete:
         return f"{unit.line}   # guess: {why}"
     return f"# {unit.line}   # guess: {why}; fill LOW and HIGH (rad, m)"

@@ -188,7 +188,7 @@ def compared(
                     f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not "
                     "taken"
                 ]
-        elif unit.offset or abs(unit.scale / one.scale - 1.0) > UNIT.close:
+        elif unit.offset or abs(unit.scale / one.scale - 1.0) > UNIT.scale_tolerance:
             if own is None:
                 bare.append(one)
             elif isinstance(own, str):

@@ -22,7 +22,7 @@ from adaptsim_jax.core.files import is_pointer
 from adaptsim_jax.logs import bag, command_files, readers
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
-from adaptsim_jax.logs.log import Log, ModelNames, followed, model_names
+from adaptsim_jax.logs.log import Log, ModelNames, model_names, restrict_log
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
 from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
@@ -98,7 +98,7 @@ def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
         if value is not None or name in log.meta.hold
     }
     mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
-    return mechanism, followed(log, mechanism)
+    return mechanism, restrict_log(log, mechanism)
 
 
 def _declared(
@@ -186,10 +186,10 @@ def _tables(data: Path, meta: LogMeta) -> tuple[list[Path], dict[str, Path]]:
     """The tables of trials, and those that hold commands beside them."""
     folder = data if data.is_dir() else data.parent
     files = table_files(data)
-    commands = command_files.declared(meta.commands, folder, meta.path)
+    commands = command_files.command_paths(meta.commands, folder, meta.path)
     files = [path for path in files if path not in commands.values()]
     if not commands and data.is_dir():
-        command_files.check_suspected(files)
+        command_files.check_command_files(files)
     return files, commands
 
 
@@ -201,7 +201,7 @@ def _read_tables(
     read = read_files(files, meta, paths)
     trials = [command_files.with_commands(t, commands, meta) for t in read]
     if files and not data.is_dir() and not commands:
-        notes = command_files.likely_commands(data, table_files(data.parent))
+        notes = command_files.command_file_note(data, table_files(data.parent))
         trials = [replace(trial, notes=(*trial.notes, *notes)) for trial in trials]
     return trials
 

@@ -68,6 +68,6 @@ def _first_rows(q: np.ndarray) -> tuple[np.ndarray, float]:
     usual = int(np.median(length))
     even = np.mean((length >= usual) & (length <= usual + 1) | (length % usual == 0))
     moved = [x[x > 0] for x in step.T]
-    fine = any(len(x) and np.median(x) > REPEAT.steps * np.min(x) for x in moved)
-    steady = usual > 1 and even > REPEAT.even and fine
+    fine = any(len(x) and np.median(x) > REPEAT.min_steps * np.min(x) for x in moved)
+    steady = usual > 1 and even > REPEAT.min_even_share and fine
     return rows, float(np.mean(length[length <= usual + 1])) if steady else 0.0

@@ -56,14 +56,17 @@ def one_commander(topic: str, rows: list[Message]) -> tuple[list[Message], tuple
     time = np.array([row[0] for row in rows])
     u = np.nan_to_num([np.concatenate([*row[2].values()]) for row in rows])
     other = np.zeros(len(rows), bool)
-    other[1:-1] = np.any(_back(u, CLOCK.leap * np.ptp(u, axis=0)), axis=1)
-    if not CLOCK.leaps < np.mean(other) < CLOCK.fewer or np.ptp(u) < SIGNAL.moving:
+    other[1:-1] = np.any(_back(u, CLOCK.min_leap_share * np.ptp(u, axis=0)), axis=1)
+    if (
+        not CLOCK.min_leaping_share < np.mean(other) < CLOCK.max_sender_share
+        or np.ptp(u) < SIGNAL.min_motion
+    ):
         return rows, ()
-    between = time[2:] - time[:-2] < CLOCK.dense * np.median(np.diff(time[~other]))
-    if np.mean(between[other[1:-1]]) < CLOCK.usual_steps:
+    between = time[2:] - time[:-2] < CLOCK.min_density * np.median(np.diff(time[~other]))
+    if np.mean(between[other[1:-1]]) < CLOCK.usual_quantile:
         return rows, ()
-    steps = np.quantile(np.abs(np.diff(u[~other], axis=0)), CLOCK.usual_steps, axis=0)
-    other[1:-1] = between & np.any(_back(u, CLOCK.contradicts * steps), axis=1)
+    steps = np.quantile(np.abs(np.diff(u[~other], axis=0)), CLOCK.usual_quantile, axis=0)
+    other[1:-1] = between & np.any(_back(u, CLOCK.min_contradiction_steps * steps), axis=1)
     note = (
         f"topic {topic}: {other.sum()} messages of another sender lie between the "
         f"{np.sum(~other)} others and contradict them: left out"
@@ -91,8 +94,8 @@ def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: 
         np.median(np.abs(x - np.interp(other_time, time[order], y[order])))
         for x, y in zip(other.T, q.T, strict=True)
     ]
-    steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_steps, axis=0)
-    return bool(np.any(np.array(off) > CLOCK.contradicts * steps))
+    steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_quantile, axis=0)
+    return bool(np.any(np.array(off) > CLOCK.min_contradiction_steps * steps))
 
 
 def _leaps(q: np.ndarray) -> bool:
@@ -100,8 +103,8 @@ def _leaps(q: np.ndarray) -> bool:
     if len(q) < CLOCK.min_stamps:
         return False
     span = np.ptp(q, axis=0)
-    often = np.mean(_back(q, CLOCK.leap * span), axis=0) > CLOCK.leaps
-    return bool(np.any(often & (span > SIGNAL.moving)))
+    often = np.mean(_back(q, CLOCK.min_leap_share * span), axis=0) > CLOCK.min_leaping_share
+    return bool(np.any(often & (span > SIGNAL.min_motion)))
 
 
 def _back(q: np.ndarray, least: np.ndarray) -> np.ndarray:

@@ -78,7 +78,7 @@ def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | Non
     if rows.sum() <= UNIT.min_rows:
         return None
     found = velocity_agreement(time[rows], q[rows], v[rows])
-    if found.enough and found.r2 > UNIT.related:
+    if found.enough and found.r2 > UNIT.min_r2:
         return found
     return None
 
@@ -86,7 +86,7 @@ def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | Non
 def _unsure(found: Agreement) -> float:
     """By how much a ratio may be off, in log: noise of the speeds makes it too large."""
     errors = SIGNAL.gain_errors * found.spread / abs(found.gain)
-    return min(UNIT.alike, max(UNIT.same, errors, 1.0 - found.r2))
+    return min(UNIT.log_tolerance, max(UNIT.ratio_tolerance, errors, 1.0 - found.r2))
 
 
 def _mistake(found: Mapping[int, Agreement], columns: Mapping[int, Written]) -> str:
@@ -107,12 +107,14 @@ def common(found: Sequence[Agreement]) -> float | None:
     if not len(gains) or abs(np.sum(np.sign(gains))) < len(gains):
         return None
     size, middle = np.abs(gains), float(np.median(gains))
-    if size.max() > UNIT.agree * size.min():
+    if size.max() > UNIT.max_ratio * size.min():
         return None
     far = abs(math.log(abs(middle)))
     # coarse rows of a fast motion leave ratios that trials do not share to the digit
-    alike = len(size) > 1 and float(np.ptp(np.log(size))) < UNIT.shared * far
-    if far < float(np.median([_unsure(a) for a in found])) or (far < UNIT.alike and not alike):
+    alike = len(size) > 1 and float(np.ptp(np.log(size))) < UNIT.log_ratio_tolerance * far
+    if far < float(np.median([_unsure(a) for a in found])) or (
+        far < UNIT.log_tolerance and not alike
+    ):
         return math.copysign(1.0, middle)
     return middle
 
@@ -123,7 +125,7 @@ def _ratios(gains: Mapping[int, float], columns: Mapping[int, Written], own: Seq
     why = "filtered, or of a clock that differs"
     if any(gains[j] < 0 for j in own):
         why = "of the other sign than the angle"
-    elif any(abs(math.log(gains[j])) > UNIT.alike for j in own):
+    elif any(abs(math.log(gains[j])) > UNIT.log_tolerance for j in own):
         why = "of the motor's side of a gear"
     lines = " and ".join(f"{columns[j].v} = {columns[j].scale / gains[j]:.4g}" for j in own)
     return f"{said} ({why}?); write {lines} under [units] in meta.toml"

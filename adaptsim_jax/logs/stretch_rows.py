@@ -83,7 +83,7 @@ def spread(parts: Sequence[Sequence[Row]], most: int) -> list[Row]:
 def broken(time: np.ndarray) -> np.ndarray:
     """[T-1]: whether a gap follows a row of a trial; time [T] s."""
     steps = np.diff(time)
-    return steps > max(UNBROKEN.gap_rows * float(np.median(steps)), UNBROKEN.gap)
+    return steps > max(UNBROKEN.min_gap_rows * float(np.median(steps)), UNBROKEN.min_gap)
 
 
 def _first_rows(trial: TrialSpans) -> list[int]:
@@ -97,7 +97,7 @@ def _first_rows(trial: TrialSpans) -> list[int]:
         if len(inside):
             at = int(inside[-1]) + 1
             continue
-        if end > at and observed[at : end + 1].mean() > UNBROKEN.observed:
+        if end > at and observed[at : end + 1].mean() > UNBROKEN.min_read_share:
             begins.append(at)
         at = max(end, at + 1)
     return begins

@@ -16,7 +16,7 @@ from adaptsim_jax.logs.archive import MAX_LISTED, check_lengths, part_name, read
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_lines, rows_of
 from adaptsim_jax.logs.table_checks import check_missing, without_blank
-from adaptsim_jax.logs.table_clocks import joined_time, split_clock
+from adaptsim_jax.logs.table_clocks import join_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
@@ -79,12 +79,12 @@ def read_table(
 
 def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
     """The table without the rows that hold a number in none of the columns `lost`."""
-    there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
-    selected = np.any(there, 0) if there else np.ones(len(table.lines), bool)
-    if selected.all() or not selected.any():
+    has_number = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
+    has_values = np.any(has_number, 0) if has_number else np.ones(len(table.lines), bool)
+    if has_values.all() or not has_values.any():
         return table
-    columns = {name: values[selected] for name, values in table.columns.items()}
-    return replace(table, columns=columns, lines=table.lines[selected])
+    columns = {name: values[has_values] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[has_values])
 
 
 def _checked(
@@ -104,11 +104,11 @@ def _checked(
             f"{path}: has {n} data rows; a trial needs at least {min_rows}, leave this file out"
         )
     columns, notes = without_blank(path, table.columns, min_rows, ours)
-    columns, reported = joined_time(path, columns, ours)
-    lines, notes = table.lines, (*table.notes, *notes, *reported)
-    if not gaps and (joined := split_clock(path, columns, lines, ours)):
-        columns, lines, reported = joined
-        notes = (*notes, *reported)
+    columns, time_notes = join_time(path, columns, ours)
+    lines, notes = table.lines, (*table.notes, *notes, *time_notes)
+    if not gaps and (split := split_clock(path, columns, lines, ours)):
+        columns, lines, time_notes = split
+        notes = (*notes, *time_notes)
     filled = {
         name: np.where(np.isnan(values), 0.0, values)
         for name, values in columns.items()
@@ -136,8 +136,8 @@ def _decode(path: Path, raw: bytes) -> str:
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
     """The table, NaN where a cell is empty."""
     raw, cut = read_lines(path)
-    found = rows_of(path, _decode(path, raw))
-    rows, lines = found.rows, found.lines
+    csv = rows_of(path, _decode(path, raw))
+    rows, lines = csv.rows, csv.lines
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
     check_header(path, rows[0], lines[0], wanted, len(rows) > 1 and len(rows[1]) > 1)
@@ -145,18 +145,18 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
     header, rows, lines = rows[0], rows[1:], lines[1:]
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {
-        part: _numbers(path, name, own, lines)
+        part: _numbers(path, name, own_cells, lines)
         for name in wanted
         if name in header
-        for part, own in split(path, name, cells[header.index(name)], lines).items()
+        for part, own_cells in split(path, name, cells[header.index(name)], lines).items()
     }
     notes: tuple[str, ...] = ()
     if cut:
-        some = ", ".join(map(str, cut[:MAX_LISTED]))
-        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {some}",)
+        cut_lines = ", ".join(map(str, cut[:MAX_LISTED]))
+        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {cut_lines}",)
     others = _others(header, wanted)
     table = LogTable(columns, np.asarray(lines, dtype=np.int64), others, "line", notes)
-    return replace(table, units=found.units, again=found.again)
+    return replace(table, units=csv.units, again=csv.again)
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:

@@ -39,10 +39,10 @@ def word_of(parts: Sequence[np.ndarray]) -> str:
     """
     raw = [x[np.isfinite(x)] for x in parts]
     every, leap = np.concatenate(raw), _leap(raw)
-    if leap < WORD.leap or np.any(every != np.round(every)):
+    if leap < WORD.min_leap or np.any(every != np.round(every)):
         return ""
     read = {how: [way(x) for x in raw] for how, way in WORDS.items()}
-    good = [how for how, own in read.items() if _leap(own) < WORD.left * leap]
+    good = [how for how, own in read.items() if _leap(own) < WORD.max_leap_ratio * leap]
     return min(good, key=lambda h: sum(np.sum(np.abs(np.diff(x))) for x in read[h]), default="")
 
 
@@ -56,9 +56,11 @@ def unanswered(x: np.ndarray) -> np.ndarray:
     """
     own = np.isfinite(x) & ~np.isin(x, UNANSWERED)
     raw = x[own]
-    if not 0 < np.mean(~own) <= TABLE.few or np.any(raw != np.round(raw)):
+    if not 0 < np.mean(~own) <= TABLE.max_missing_share or np.any(raw != np.round(raw)):
         return np.zeros(len(x), bool)
-    far = WORD.far * max(float(np.quantile(np.abs(np.diff(raw)), CLOCK.usual_steps)), 1.0)
+    far = WORD.max_usual_steps * max(
+        float(np.quantile(np.abs(np.diff(raw)), CLOCK.usual_quantile)), 1.0
+    )
     count = np.cumsum(own)
     before, after = raw[np.maximum(count - 1, 0)], raw[np.minimum(count, len(raw) - 1)]
     near = np.minimum(np.abs(x - before), np.abs(x - after))

@@ -120,11 +120,11 @@ def read_actuators(
         elif kind == TENDON:
             affine_length = length(model, coordinates, tendon=target)
         if affine_length is None:
-            where = {TENDON: "a tendon over sites"} | dict.fromkeys(
-                JOINT_TRANSMISSIONS, "a ball or free joint"
+            where = {TENDON: "a tendon over sites"}.get(
+                kind, f"a {mujoco.mjtTrn(kind).name[6:].lower()}"
             )
-            other = f"a {mujoco.mjtTrn(kind).name[6:].lower()}"
-            passive.unsupported.append(f"actuator '{name}' on {where.get(kind, other)}")
+            where = where if kind not in JOINT_TRANSMISSIONS else "a ball or free joint"
+            passive.unsupported.append(f"actuator '{name}' on {where}")
             continue
         slope, zero_length = affine_length
         gear = float(model.actuator_gear[k, 0])

@@ -373,5 +373,7 @@ def eliminate_followers(tree: Tree, leader: Sequence[int], factor: Any, offset: 
 
 def _parent(tree: Tree, joint: int, coordinate_of: Sequence[int], coordinate: int) -> int:
     """The nearest coordinate before a joint that is not its own and has a smaller number."""
-    before = (coordinate_of[k] for k in ancestors(tree, joint) if coordinate_of[k] < coordinate)
-    return next(before, -1)
+    for k in ancestors(tree, joint):
+        if coordinate_of[k] < coordinate:
+            return coordinate_of[k]
+    return -1

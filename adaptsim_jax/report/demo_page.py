@@ -202,12 +202,12 @@ def diagnosis_words(report: Mapping) -> Table:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
-    observed = diagnosis_words(tour.diagnosis)
-    if observed["after"] is None:
-        error = observed["before"]
+    texts = diagnosis_words(tour.diagnosis)
+    if texts["after"] is None:
+        error = texts["before"]
     else:
-        error = f"{observed['before']} -> {observed['after']}"
-    reported = [
+        error = f"{texts['before']} -> {texts['after']}"
+    rewards = [
         f"{look.label(name)} {_reward(rows[name]['mean'])}" for name in CURVES if name in rows
     ]
 
@@ -219,11 +219,11 @@ def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     return [
         (
             f"pendulum in {look.SETTINGS[setting_of(tour)]}",
-            f"reward {', '.join(reported)} (0: UDR, 1: best in Omega)",
+            f"reward {', '.join(rewards)} (0: UDR, 1: best in Omega)",
         ),
         ("push", changed(tour.push)),
         ("scoop", changed(tour.scoop)),
-        ("diagnosed", f"{observed['headline']} Error on left-out trials {error}"),
+        ("diagnosed", f"{texts['headline']} Error on left-out trials {error}"),
         ("all on one page", str(out / "index.html")),
         ("trained runs", str(out / "runs")),
         ("diagnosis", str(out / "diagnosis" / "report.html")),

@@ -78,24 +78,28 @@ def _residual(trial: Mapping, channel: str, columns: SharedColumns, time: str, m
     measured, *simulated = thin(
         trial["measured"][channel], *[trial[s][channel] for s in stages], most=most
     )
-    left = [measured - values for values in simulated]
+    residuals = [measured - values for values in simulated]
     unit = (
         (trial.get("units") or {}).get(channel)
         or trial.get("unit")
         or figures.channel_unit(channel)
     )
-    factor, name = fmt.scaled(unit, max((figures.percentile(rest) for rest in left), default=0.0))
-    sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
+    factor, name = fmt.scaled(
+        unit, max((figures.percentile(residual) for residual in residuals), default=0.0)
+    )
+    sizes = [size for residual in residuals if (size := figures.percentile(residual)) > 0]
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
-    observed = columns.add(measured, step)
+    measured_column = columns.add(measured, step)
     hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
-    data: list[Table] = [_line(time, observed, "measured", 5, opacity=0.6, **hover)]
+    data: list[Table] = [_line(time, measured_column, "measured", 5, opacity=0.6, **hover)]
     for stage, values in zip(stages, simulated, strict=True):
-        drawn = columns.add(values, step)
-        data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
-        below = {"yaxis": "y2", "showlegend": False, "legendgroup": stage}
-        rest = {"minus": [observed, drawn], "times": factor}
-        trace = _line(time, rest, stage, 1.4, hovertemplate=f"%{{y:.4~g}} {name}", **below)
+        simulated_column = columns.add(values, step)
+        data.append(_line(time, simulated_column, stage, 1.6, legendgroup=stage, **hover))
+        lower_style = {"yaxis": "y2", "showlegend": False, "legendgroup": stage}
+        residual = {"minus": [measured_column, simulated_column], "times": factor}
+        trace = _line(
+            time, residual, stage, 1.4, hovertemplate=f"%{{y:.4~g}} {name}", **lower_style
+        )
         data.append(trace | {"name": f"{NAMES[stage]}: error"})
     lower = {"domain": [0.0, 0.34], "nticks": 4, "zeroline": True}
     return figure(

@@ -280,10 +280,10 @@ def save_replay(found: Replay, path: Path) -> None:
     figure, panels = look.new_figure(width, height * len(joints) + 0.8, len(joints), sharex=True)
     for axis, j in zip(panels, joints, strict=True):
         for w in lanes:
-            observed = found.seen[w, :, j] > 0
+            is_measured = found.seen[w, :, j] > 0
             axis.plot(
-                found.time[w, observed],
-                found.measured[w, observed, j],
+                found.time[w, is_measured],
+                found.measured[w, is_measured, j],
                 color=MEASURED,
                 linewidth=2.2,
             )

@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 
 OPEN = 1e6  # N m (N): a limit that is none
 SHARP_REFERENCE = (0.004, 1.0)
@@ -130,11 +130,11 @@ class Servo:
         return tuple(n for n in names if n not in self.excluded)
 
 
-def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
+def servos_of(stepped_model: SteppedModel, log: Log) -> tuple[Servo, ...]:
     """The servos of a machine of which each logged joint has one, or is tied to others; empty for
     any other machine.
     """
-    model = made.model
+    model = stepped_model.model
     if log.input_kind != "command":
         return ()
     lift, inputs, tied = _lift(model), set(log.input_names), _tied(model)

@@ -15,7 +15,7 @@ from adaptsim_jax.simulators.closed_loop.pieces import (
     pieces_of,
     trials_of,
 )
-from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
 
 NO_LIFT = 1e-12  # share of gravity that is compensated nowhere, and can be changed
 
@@ -26,9 +26,9 @@ def recording_of(source: Source, log: Log) -> Recording | None:
         return None
     if turns_of_balls(source, log):
         return None
-    made = stepped(source, log, _prepared)
-    model = made.model
-    servos = _late_by_file(source, servos_of(made, log))
+    stepped_model = make_stepped_model(source, log, _prepared)
+    model = stepped_model.model
+    servos = _late_by_file(source, servos_of(stepped_model, log))
     if not servos:
         return None
     trials = trials_of(log, servos)
@@ -40,7 +40,7 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     step = float(model.opt.timestep)
     hand = _hand(model, servos)
     way = _outward(model, hand)
-    return Recording(model, made.pose, servos, trials, pieces, noise, hand, way, step)
+    return Recording(model, stepped_model.pose, servos, trials, pieces, noise, hand, way, step)
 
 
 def _late_by_file(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:
