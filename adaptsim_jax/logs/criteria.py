@@ -273,8 +273,8 @@ class CommandCriteria:
 class TrialCriteria:
     """Whether trials are of one machine (`trials_differ.py`, `trial_words.py`).
 
-    The `min_share_` are shares of the unexplained torque's square, in pieces that were not fitted
-    to.
+    The `min_share_...` are shares of the unexplained torque's square, in pieces that were not
+    fitted to.
     """
 
     min_share_zero: float = 0.5  # of a difference of angles' zeros

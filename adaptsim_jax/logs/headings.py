@@ -72,29 +72,29 @@ def heading(written: str, joints: Iterable[str] = ()) -> Heading:
         joints: The model's, where known. A joint's own name has no unit in it.
     """
     joints = tuple(joints)
-    known = role(written, joints)
-    if known is not None and known.joint in joints:
+    column_role = role(written, joints)
+    if column_role is not None and column_role.joint in joints:
         return Heading(written)
-    for found in reversed(list(_BRACKETS.finditer(written))):
-        name = (written[: found.start()] + written[found.end() :]).strip(" _")
-        if name and found[1] not in joints and (unit := unit_of(found[1])):
+    for match in reversed(list(_BRACKETS.finditer(written))):
+        name = (written[: match.start()] + written[match.end() :]).strip(" _")
+        if name and match[1] not in joints and (unit := unit_of(match[1])):
             return Heading(name, unit)
     number = re.search(r"(?<=[A-Za-z])[\s_.]?\d+$", written)  # `pos_deg_1` is `pos_1` in degrees
     if number:
-        whole, end = (written[: number.start()], number[0])
+        stem, number_text = (written[: number.start()], number[0])
     else:
-        whole, end = ("", "")
-    if found := _suffix(written, joints):
-        return found
-    found = _suffix(whole, joints)
-    if found:
-        return Heading(found.name + end, found.unit)
+        stem, number_text = ("", "")
+    if match := _suffix(written, joints):
+        return match
+    match = _suffix(stem, joints)
+    if match:
+        return Heading(match.name + number_text, match.unit)
     return Heading(written)
 
 
 def _suffix(written: str, joints: tuple[str, ...]) -> Heading | None:
     """The unit that a heading ends in after a separator."""
-    starts = [found.end() for found in _SEPARATORS.finditer(written)]
+    starts = [match.end() for match in _SEPARATORS.finditer(written)]
     for count in range(min(3, len(starts)), 0, -1):
         words = _SEPARATORS.split(written[starts[-count] :])
         name = written[: starts[-count]].rstrip(" _./-")
@@ -119,16 +119,16 @@ def _joined(words: Sequence[str]) -> str:
 
 def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool:
     """Whether one letter at the end is a unit (`i1_A`), not the name of a joint (`position_A`)."""
-    known = role(name, joints)
-    if known is None or (not joints and role(written) is not None):
+    column_role = role(name, joints)
+    if column_role is None or (not joints and role(written) is not None):
         return False
     return any(
-        unit in units_of(quantity_of(known.stem, slides), slides) for slides in (False, True)
+        unit in units_of(quantity_of(column_role.stem, slides), slides) for slides in (False, True)
     )
 
 
 def heading_unit(
-    column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()
+    column: str, written: str, column_role: Role, slides: bool | None, joints: Sequence[str] = ()
 ) -> HeadingUnit | None:
     """What the heading `written` of our `column` says of its unit; None where nothing.
 
@@ -136,14 +136,14 @@ def heading_unit(
         slides: None where the joint is not known.
     """
     unit = heading(written, joints).unit
-    if unit is None or found.stem in ("trial", "base", "channel"):
+    if unit is None or column_role.stem in ("trial", "base", "channel"):
         return None
     if slides is None:
-        turns, goes = (
-            unit in units_of(quantity_of(found.stem, kind), kind) for kind in (False, True)
+        fits_turn, fits_slide = (
+            unit in units_of(quantity_of(column_role.stem, kind), kind) for kind in (False, True)
         )
-        slides = goes and not turns
-    return HeadingUnit(column, written, unit, quantity_of(found.stem, slides), slides)
+        slides = fits_slide and not fits_turn
+    return HeadingUnit(column, written, unit, quantity_of(column_role.stem, slides), slides)
 
 
 def lines(found: Sequence[HeadingUnit]) -> dict[str, HeadingUnit]:

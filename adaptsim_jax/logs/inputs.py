@@ -11,7 +11,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import flipped_joints, followed_turns, model_angles
+from adaptsim_jax.logs.angles import flipped_joints, follow_turns, model_angles
 from adaptsim_jax.logs.criteria import COMMAND
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
@@ -89,7 +89,7 @@ def _as_sent(
         return command
     angle = (command - actuator.at_zero) / actuator.per_angle
     if actuator.kind == "position" and actuator.joint not in names.slides:
-        angle = followed_turns(q, angle)
+        angle = follow_turns(q, angle)
     if actuator.joint in meta.rate:
         angle = limit_rate(columns.time, angle, q, meta.rate[actuator.joint])
     if actuator.joint in meta.within:

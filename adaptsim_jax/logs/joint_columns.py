@@ -9,7 +9,7 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import Turns, followed_turns, turns_of
+from adaptsim_jax.logs.angles import Turns, follow_turns, turns_of
 from adaptsim_jax.logs.columns import BASE, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.headings import HeadingUnit, compared, heading_unit
@@ -164,7 +164,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
     if meta.targets == "relative":
         targets_as_logged = {j: angles[j] + u for j, u in targets_as_logged.items() if j in angles}
     targets = {
-        j: followed_turns(unwrapped[j], u) if j in unwrapped and names.is_angle_target(j) else u
+        j: follow_turns(unwrapped[j], u) if j in unwrapped and names.is_angle_target(j) else u
         for j, u in targets_as_logged.items()
     }
     channels = {

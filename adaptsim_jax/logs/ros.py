@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import followed_turns, without_turns
+from adaptsim_jax.logs.angles import follow_turns, without_turns
 from adaptsim_jax.logs.bag import ENDINGS, Bag, Topic, bags, is_bag, opened
 from adaptsim_jax.logs.clock import MessageTimes, Series, merge, message_times
 from adaptsim_jax.logs.columns import role
@@ -40,7 +40,7 @@ from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.senders import Message, one_commander, one_sender
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
+from adaptsim_jax.logs.trajectories import followed_commands, plan_of, sample_and_hold
 
 __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
 
@@ -305,11 +305,11 @@ def _trajectory(
     if interpolation is None and not any(
         t > plan.takes_over for plan in plans for t, *_ in plan.points
     ):
-        return followed(plans, angle, True), tuple(
+        return followed_commands(plans, angle, True), tuple(
             notes
         )  # points that give no time to move are commands as they come
     commands_by_kind = {
-        kind: followed(plans, angle, kind == "hold")
+        kind: followed_commands(plans, angle, kind == "hold")
         for kind in POINTS
         if interpolation in (None, kind)
     }
@@ -320,7 +320,7 @@ def _trajectory(
         # not wait
     ):
         main = max(states, key=lambda s: len(s.time)).time
-        sampled_commands = [sampled(series, main) for series in commands_by_kind["ramp"]]
+        sampled_commands = [sample_and_hold(series, main) for series in commands_by_kind["ramp"]]
         commands_by_kind["ramp"] = min(
             (sampled_commands, commands_by_kind["ramp"]),
             key=lambda commands: _unexplained_share(str(path), states, commands),
@@ -389,7 +389,7 @@ def _with_whole_turns(command: Series, states: list[Series], servos: Mapping[str
         time, first = np.unique(state.time[has_angle], return_index=True)
         if len(time) > 3:
             q = without_turns(time, state.columns[f"q_{joint}"][has_angle][first]).q
-            columns[name] = followed_turns(np.interp(command.time, time, q), values)
+            columns[name] = follow_turns(np.interp(command.time, time, q), values)
     return replace(command, columns=columns)
 
 

@@ -62,7 +62,7 @@ def read_table(
 
     Args:
         ours: What a column is to us where the file names it otherwise; arrays [T, n] are then n
-            columns by `list_cells.part_name`. Optional columns that hold nothing count as not
+            columns by `archive.part_name`. Optional columns that hold nothing count as not
             there.
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.

@@ -18,7 +18,7 @@ from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
 from adaptsim_jax.logs.scales import Scale, lengths_within, scales_of, times_range
-from adaptsim_jax.logs.speeds import DEGREE, MISTAKES, agreement, common
+from adaptsim_jax.logs.speeds import DEGREE, MISTAKES, agreement, common_ratio
 
 
 @dataclass(frozen=True)
@@ -374,5 +374,5 @@ def _like(gain: float, scale: float) -> bool:
 def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
     """Logged speed over the slope of the angle, where joints agree on it."""
     pairs = [(angles[joint], v) for joint, v in speeds.items() if joint in angles]
-    gain = common([estimate for q, v in pairs if (estimate := agreement(time, q, v))])
+    gain = common_ratio([estimate for q, v in pairs if (estimate := agreement(time, q, v))])
     return gain if gain is not None and gain > 0 else None

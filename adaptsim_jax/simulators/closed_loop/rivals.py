@@ -10,17 +10,17 @@ import numpy as np
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import LawFit
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
-from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import SHARED, ServoLaw, step_law
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
     FittedServos,
-    Polished,
+    PolishedLaws,
     WholeTrials,
     over_noise,
-    polished,
-    without,
+    polish_laws,
+    remove_coordinates,
 )
-from adaptsim_jax.simulators.closed_loop.shared import LATE
+from adaptsim_jax.simulators.closed_loop.shared import DELAY_NAMES
 
 
 def allowed_by_all(recording: Recording) -> list[str]:
@@ -46,8 +46,8 @@ def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
     """With a mass at the hand free as well, and its place: pieces of single joints take it for
     other scales.
     """
-    known = "payload" in allowed_by_all(recording) and "lift" not in model.shared
-    if not known or not model.coordinates:
+    has_payload = "payload" in allowed_by_all(recording) and "lift" not in model.shared
+    if not has_payload or not model.coordinates:
         return model
     fits = model.fits
     if "payload" not in model.shared:
@@ -55,77 +55,77 @@ def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
     return FittedServos(fits, tuple(dict.fromkeys((*model.shared, *CARRIED))))
 
 
-def or_rival(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+def or_rival(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """The servos with a shared number's rival in its place, where that leaves less."""
     for names, others in RIVALS:
-        shared, known = found.model.shared, allowed_by_all(whole.recording)
-        if names[0] not in shared or others[0] in shared or others[0] not in known:
+        shared, allowed = found.model.shared, allowed_by_all(whole.recording)
+        if names[0] not in shared or others[0] in shared or others[0] not in allowed:
             continue
         fits = []
         for fit, law in zip(found.model.fits, file, strict=True):
-            own = {n: getattr(law, n) for n in (*names, *others)}
-            if others[0] in LATE:
-                own[others[0]] = getattr(fit.law, names[0])
+            numbers = {n: getattr(law, n) for n in (*names, *others)}
+            if others[0] in DELAY_NAMES:
+                numbers[others[0]] = getattr(fit.law, names[0])
             if others is CARRIED:
-                own["reach"] = CLOSED_LOOP.tool
-            fits.append(fit.of(fit.law._replace(**own)))
-        rest = tuple(n for n in shared if n not in names)
-        rival = polished(whole, FittedServos(tuple(fits), (*others, *rest)))
-        if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
+                numbers["reach"] = CLOSED_LOOP.tool
+            fits.append(fit.of(fit.law._replace(**numbers)))
+        other_shared = tuple(n for n in shared if n not in names)
+        rival = polish_laws(whole, FittedServos(tuple(fits), (*others, *other_shared)))
+        if log_error(whole, rival) < log_error(whole, found) - CLOSED_LOOP.gain:
             return rival
     return found
 
 
-def or_other_friction(whole: WholeTrials, found: Polished) -> Polished:
+def or_other_friction(whole: WholeTrials, found: PolishedLaws) -> PolishedLaws:
     """With dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
     once all else is fitted with it.
     """
     if not any(law.rub for law in found.model.laws):
         return found
     fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in found.model.fits)
-    rival = polished(whole, replace(found.model, fits=fits), rounds=2)
-    if left_over(whole, rival) < left_over(whole, found) - CLOSED_LOOP.gain:
+    rival = polish_laws(whole, replace(found.model, fits=fits), rounds=2)
+    if log_error(whole, rival) < log_error(whole, found) - CLOSED_LOOP.gain:
         return rival
     return found
 
 
-def or_plain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+def or_plain(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """Without gravity fed forward and what single joints were given beside their law, where a mass
     at the hand does as well: pieces of single joints do not know of it.
     """
     model = found.model
-    more = [(j, n) for j, f in enumerate(model.fits) for n in f.free if n not in OF_LAW]
-    more += [(SHARED_BY_ALL, "lift")] * ("lift" in model.shared)
-    if not more or "payload" not in model.shared:
+    additions = [(j, n) for j, f in enumerate(model.fits) for n in f.free if n not in OF_LAW]
+    additions += [(SHARED_BY_ALL, "lift")] * ("lift" in model.shared)
+    if not additions or "payload" not in model.shared:
         return found
-    start = without(whole, found, more, file)
+    start = remove_coordinates(whole, found, additions, file)
     fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
-    rival = polished(whole, replace(start, fits=fits))
+    rival = polish_laws(whole, replace(start, fits=fits))
     payload = rival.model.laws[0].payload
-    if payload > 0.0 and left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+    if payload > 0.0 and log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
         return rival
     return found
 
 
-def or_stepped(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+def or_stepped(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """Without any rotor, where damping that acts at another time in a step does as well."""
     rotors = [(j, "rotor") for j, f in enumerate(found.model.fits) if "rotor" in f.free]
     if not rotors:
         return found
-    rival = polished(whole, without(whole, found, rotors, file))
-    if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+    rival = polish_laws(whole, remove_coordinates(whole, found, rotors, file))
+    if log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
         return rival
     return found
 
 
-def left_over(whole: WholeTrials, found: Polished) -> float:
+def log_error(whole: WholeTrials, found: PolishedLaws) -> float:
     """Logarithm of what is left of whole trials over the noise, summed over joints."""
     return float(np.log(over_noise(whole, found.errors)).sum())
 
 
 def or_heavier(
-    whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]
-) -> tuple[Polished, tuple[int, ...]]:
+    whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]
+) -> tuple[PolishedLaws, tuple[int, ...]]:
     """A mass that is carried in the place of kp and damping that are the file's times one factor,
     where whole trials are simulated as well, by fewer numbers; and the joints whose gains say the
     same.
@@ -145,80 +145,92 @@ def or_heavier(
     if "payload" not in model.shared:
         fits = [f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits]
     shared = tuple(dict.fromkeys((*model.shared, *CARRIED)))
-    rival = polished(whole, FittedServos(tuple(fits), shared), rounds=8)
-    if left_over(whole, rival) < left_over(whole, found) + CLOSED_LOOP.gain:
+    rival = polish_laws(whole, FittedServos(tuple(fits), shared), rounds=8)
+    if log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
         return rival, joints
     return found, ()
 
 
-def or_files_gain(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> Polished:
+def or_files_gain(
+    whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]
+) -> PolishedLaws:
     """With the file's kp where motion is cut by a limit, which hardly shows kp: where that leaves
     less, all else as it was and fitted from there.
     """
-    cut = [j for j, f in enumerate(found.model.fits) if {"scale", "limit"} <= {*f.free}]
-    if not cut:
+    limited_joints = [j for j, f in enumerate(found.model.fits) if {"scale", "limit"} <= {*f.free}]
+    if not limited_joints:
         return found
     fits = list(found.model.fits)
-    for j in cut:
+    for j in limited_joints:
         fits[j] = fits[j].of(fits[j].law._replace(kp=file[j].kp))
-    rival = polished(whole, replace(found.model, fits=tuple(fits)))
-    return min((found, rival), key=lambda f: left_over(whole, f))
+    rival = polish_laws(whole, replace(found.model, fits=tuple(fits)))
+    return min((found, rival), key=lambda f: log_error(whole, f))
 
 
-def gain_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
+def gain_shown(whole: WholeTrials, found: PolishedLaws) -> tuple[bool, ...]:
     """Whether whole trials show kp at each joint, damping and limit as they are."""
     laws = found.model.laws
-    return _shown(whole, found, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
+    return _is_shown(whole, found, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
 
 
-def scale_shown(whole: WholeTrials, found: Polished) -> tuple[bool, ...]:
+def scale_shown(whole: WholeTrials, found: PolishedLaws) -> tuple[bool, ...]:
     """Whether they show the scale of all that was fitted of each joint's servo together."""
 
     def other(j: int, z: float) -> ServoLaw:
         fit, p = found.model.fits[j], whole.problems[j]
         step = np.array([z * (name == "scale") for name in fit.free])
-        return moved(p.servo, p.scales, fit.law, fit.free, step)
+        return step_law(p.servo, p.scales, fit.law, fit.free, step)
 
-    return _shown(whole, found, other)
+    return _is_shown(whole, found, other)
 
 
-def _shown(
-    whole: WholeTrials, found: Polished, other: Callable[[int, float], ServoLaw]
+def _is_shown(
+    whole: WholeTrials, found: PolishedLaws, other: Callable[[int, float], ServoLaw]
 ) -> tuple[bool, ...]:
     """Whether each joint is simulated worse by another law of its servo: by `other(joint, z)`, in
     either direction of z, the logarithm of a factor.
     """
     laws, joints, z = found.model.laws, range(len(found.model.laws)), np.log(CLOSED_LOOP.other_gain)
-    tried = [(j, way) for j in joints if "scale" in found.model.fits[j].free for way in (z, -z)]
-    every = whole.errors(
-        [[other(j, way) if i == j else law for i, law in enumerate(laws)] for j, way in tried]
+    changes = [
+        (j, direction)
+        for j in joints
+        if "scale" in found.model.fits[j].free
+        for direction in (z, -z)
+    ]
+    changed_errors = whole.errors(
+        [
+            [other(j, direction) if i == j else law for i, law in enumerate(laws)]
+            for j, direction in changes
+        ]
     )
-    here, worse = over_noise(whole, found.errors), dict.fromkeys(joints, np.inf)
-    for (j, _), error in zip(tried, every, strict=True):
-        worse[j] = min(worse[j], 2.0 * np.log(over_noise(whole, error)[j] / here[j]))
-    return tuple(worse[j] > CLOSED_LOOP.clearly for j in joints)
+    error_now, least_increase = over_noise(whole, found.errors), dict.fromkeys(joints, np.inf)
+    for (j, _), error in zip(changes, changed_errors, strict=True):
+        least_increase[j] = min(
+            least_increase[j], 2.0 * np.log(over_noise(whole, error)[j] / error_now[j])
+        )
+    return tuple(least_increase[j] > CLOSED_LOOP.clearly for j in joints)
 
 
 def one_shared(
-    whole: WholeTrials, file: Sequence[ServoLaw], stepped: Sequence[str]
-) -> Polished | None:
+    whole: WholeTrials, file: Sequence[ServoLaw], step_names: Sequence[str]
+) -> PolishedLaws | None:
     """The file's laws with one number that all joints share (a delay, a filter, a mass at the hand,
     gravity fed forward), where nothing that is left could show another.
 
     Args:
-        stepped: How a simulator steps, fitted with it.
+        step_names: How a simulator steps, fitted with it.
     """
-    known, found = allowed_by_all(whole.recording), []
+    allowed, candidates = allowed_by_all(whole.recording), []
     for names in (CARRIED, ("lift",), ("delay",), ("lag",)):
-        if names[0] not in known:
+        if names[0] not in allowed:
             continue
-        rest = [n for n in stepped if n != "shift" or names[0] not in LATE]
+        free_step_names = [n for n in step_names if n != "shift" or names[0] not in DELAY_NAMES]
         reach = CLOSED_LOOP.tool if names is CARRIED else 0.0
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
-        begun = polished(whole, FittedServos(fits, (*names, *rest)), rounds=3)
-        if over_noise(whole, begun.errors).max() < CLOSED_LOOP.hopeful:
-            found.append(polished(whole, begun.model))
-    best = min(found, key=lambda f: left_over(whole, f), default=None)
+        rough = polish_laws(whole, FittedServos(fits, (*names, *free_step_names)), rounds=3)
+        if over_noise(whole, rough.errors).max() < CLOSED_LOOP.hopeful:
+            candidates.append(polish_laws(whole, rough.model))
+    best = min(candidates, key=lambda f: log_error(whole, f), default=None)
     if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
         return None
     return best
