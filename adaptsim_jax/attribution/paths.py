@@ -53,7 +53,7 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
         fastest = max(fastest, float(np.sqrt(both).max()), float((dashpot * both).max()))
         inertia = np.where(soft, np.maximum(rotor, MIN_INERTIA), inertia)
         giving = np.flatnonzero(soft)
-    ends = np.asarray(group.model.tree.stop)[limited(group.model.tree)]
+    ends = np.asarray(group.model.tree.stop_params)[limited(group.model.tree)]
     if len(ends):
         pull, drag = (np.asarray(z) for z in rates(ends))
         fastest = max(fastest, float(drag.max()), 2.0 * float(np.sqrt(pull).max()))

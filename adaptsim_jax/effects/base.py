@@ -119,10 +119,10 @@ class Quantity:
         """
         torques, times = exponents(self.unit) or (0, 0)
         if torques:
-            slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0)
+            slowness = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0)
         else:
-            slow = 1.0
-        return self.low * torque**torques * slow, self.high * torque**torques * slow
+            slowness = 1.0
+        return self.low * torque**torques * slowness, self.high * torque**torques * slowness
 
 
 class Motion(NamedTuple):
@@ -306,9 +306,9 @@ class Effect:
             )
         for p in self.parameters:
             if exponents(p.unit) is None:
-                known = f"{', '.join(UNITS)}, N m s^K/rad^K"
+                valid = f"{', '.join(UNITS)}, N m s^K/rad^K"
                 raise BadInput(
-                    f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}"
+                    f"effect {self.name}: unit {p.unit!r} is unknown; use one of {valid}"
                 )
         if not self.amplitudes:
             raise BadInput(

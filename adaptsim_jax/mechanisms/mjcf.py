@@ -315,10 +315,14 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         if bodies and all(name in weightless for name in bodies):
             inertial[i] = 0.0
     weight = model.dof_invweight0[dof]
-    stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1)
+    stop_params = np.concatenate(
+        [model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1
+    )
     minimum = 0.0 if has_off(model, "refsafe") else 2 * model.opt.timestep
-    time_constant = stop[:, 0]
-    stop[:, 0] = np.where(time_constant > 0, np.maximum(time_constant, minimum), time_constant)
+    time_constant = stop_params[:, 0]
+    stop_params[:, 0] = np.where(
+        time_constant > 0, np.maximum(time_constant, minimum), time_constant
+    )
     friction_softness = _friction_softness(
         model.dof_solref[dof], model.dof_solimp[dof], weight, minimum
     )
@@ -343,7 +347,7 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         stiffness_poly=model.jnt_stiffnesspoly[joint],
         springref=np.where(ball, 0.0, model.qpos_spring[adr]),
         range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
-        stop=stop,
+        stop_params=stop_params,
         friction_softness=friction_softness,
         gravcomp=walk.gravcomp,
     )

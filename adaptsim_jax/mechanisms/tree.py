@@ -80,8 +80,8 @@ class Tree:
     - `damping_poly`, `stiffness_poly [n, 2]`: MuJoCo's higher coefficients. The force is
       -(d + d1 |v| + d2 v^2) v, and so with q - springref.
     - `range [n, 2]`: Rad or m, of use where `limited`.
-    - `stop [n, 8]`: What a limit does there. MuJoCo's two numbers of `solref`, five of `solimp`,
-      and the joint's inverse weight (1 / (kg m^2) or 1 / kg).
+    - `stop_params [n, 8]`: What a limit does there. MuJoCo's two numbers of `solref`, five of
+      `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg).
     - `friction_softness [n, 2]`: How dry friction gives, zeros where it is sharp. The rate 1/s at
       which it ends a speed, and what it adds to the joint's inverse weight.
     - `gravcomp [n, 10]`: Inertial parameters of what is held up against gravity, where
@@ -108,7 +108,7 @@ class Tree:
     damping_poly: Array
     stiffness_poly: Array
     range: Array
-    stop: Array
+    stop_params: Array
     friction_softness: Array
     gravcomp: Array
     all_joints: AllJoints | None = None
@@ -155,7 +155,7 @@ _SIZES = {
     "damping_poly": (2,),
     "stiffness_poly": (2,),
     "range": (2,),
-    "stop": (8,),
+    "stop_params": (8,),
     "friction_softness": (2,),
     "gravcomp": (10,),
 }

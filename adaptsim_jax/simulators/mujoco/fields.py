@@ -22,11 +22,11 @@ from adaptsim_jax.mechanisms.model_numbers import (
     KINDS,
     OF_DOF,
     OPTION,
+    array_and_row,
     array_at,
     attributes,
     element_names,
     parse,
-    place,
 )
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
 
@@ -164,7 +164,7 @@ def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list
 def _place(model: mujoco.MjModel, number: ModelNumber, element: int) -> tuple[np.ndarray, int, int]:
     """Array, row and column of a number. Raises BadInput where the model has no such field."""
     kind, what = number.field.split(".")
-    name, row = place(model, kind, what, element)
+    name, row = array_and_row(model, kind, what, element)
     array = array_at(model, name)
     if array is None and kind == OPTION:
         raise BadInput(f"quantity {number.name!r}: MuJoCo's option has no {what!r}")
