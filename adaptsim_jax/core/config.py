@@ -21,34 +21,34 @@ Table = dict[str, Any]
 """What a table of TOML, or an object of JSON, holds."""
 
 
-def nearest(name: str, known: typing.Iterable[str]) -> str | None:
+def nearest(name: str, valid: typing.Iterable[str]) -> str | None:
     """The known name that `name` is most like, upper and lower case alike, or the one that ends in
     it; None where none is.
     """
-    by_case = {other.lower(): other for other in known}
+    by_case = {other.lower(): other for other in valid}
     inside = [other for low, other in by_case.items() if low.endswith(f".{name.lower()}")]
     if len(inside) == 1:
         return inside[0]
-    near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
-    if near:
-        return by_case[near[0]]
+    matches = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    if matches:
+        return by_case[matches[0]]
     return None
 
 
-def suggest(name: str, known: typing.Iterable[str]) -> str:
+def suggest(name: str, valid: typing.Iterable[str]) -> str:
     """'did you mean ...?' or 'known: ...': the mend for a name that is not known."""
-    known = list(known)
-    near = nearest(name, known)
-    if near:
-        return f"did you mean '{near}'?"
-    return f"known: {', '.join(known) or 'none'}"
+    valid = list(valid)
+    similar = nearest(name, valid)
+    if similar:
+        return f"did you mean '{similar}'?"
+    return f"known: {', '.join(valid) or 'none'}"
 
 
-def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
+def pick(kind: str, name: str, valid: typing.Iterable[str]) -> str:
     """`name` if it is known, else BadInput with the nearest name."""
-    known = list(known)
-    if name not in known:
-        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, known)}")
+    valid = list(valid)
+    if name not in valid:
+        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, valid)}")
     return name
 
 

@@ -12,7 +12,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.angles import Turns, follow_turns, turns_of
 from adaptsim_jax.logs.columns import BASE, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE
-from adaptsim_jax.logs.headings import HeadingUnit, compared, heading_unit
+from adaptsim_jax.logs.headings import HeadingUnit, check_headings, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
@@ -156,7 +156,7 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
             converter.command(name, column_role)
         elif column_role.stem not in ("time", "trial", "base", "channel"):
             converter.joint(name, column_role)
-    notes = compared(trial.path, converter.headings, meta.units)
+    notes = check_headings(trial.path, converter.headings, meta.units)
     angles, targets_as_logged = (converter.by_joint.get(stem, {}) for stem in ("q", "target"))
     wrapping = {j: q for j, q in angles.items() if j not in converter.multi_turn}
     unwrapped, gap_notes = _without_turns(trial, names, seconds, wrapping)

@@ -54,7 +54,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
-    whole: bool = True,
+    is_strict: bool = True,
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
@@ -67,14 +67,14 @@ def read_table(
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.
         gaps: Columns of which any cell may be empty, which is NaN then.
-        whole: Whether other cells may not.
+        is_strict: Whether other cells may not.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
         table = _read_npz(path, wanted, lists=ours is not None)
     else:
         table = _read_csv(path, wanted)
-    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, whole)
+    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, is_strict)
 
 
 def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
@@ -93,7 +93,7 @@ def _checked(
     min_rows: int,
     ours: Mapping[str, str],
     gaps: tuple[str, ...],
-    whole: bool,
+    is_strict: bool,
 ) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
@@ -114,7 +114,7 @@ def _checked(
         for name, values in columns.items()
         if name in gaps
     }
-    if whole:
+    if is_strict:
         check_missing(path, columns | filled, lines, table.row_word, ours)
     return replace(table, columns=columns, lines=lines, notes=notes)
 

@@ -325,7 +325,7 @@ def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> Lo
     place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
     lists = {_list_name(place) for place in places}
-    table = read_table(path, tuple(named), ours=_Named(named), whole=False)
+    table = read_table(path, tuple(named), ours=_Named(named), is_strict=False)
     rows = np.array([np.zeros(len(table.lines)), *table.columns.values()])
     if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.max_missing_share:
         check_missing(path, table.columns, table.lines, table.row_word, _Named(named))

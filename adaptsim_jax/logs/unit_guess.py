@@ -74,33 +74,33 @@ def guess_units(
     roles = roles_of(columns, joints)
     scales = _scales(columns, roles, joints, lerobot, model)
     heading_units = [
-        one
+        row
         for name, column_role in roles.items()
-        if (one := _of_heading(name, column_role, roles, headings or {}, model))
+        if (row := _of_heading(name, column_role, roles, headings or {}, model))
     ]
     heading_units = [
-        one
-        for one in heading_units
-        if one.quantity not in ("angle", "length") or str(roles[one.column].joint) not in scales
+        row
+        for row in heading_units
+        if row.quantity not in ("angle", "length") or str(roles[row.column].joint) not in scales
     ]
     out: Units = {}
-    for key, one in lines(heading_units).items():
+    for key, row in lines(heading_units).items():
         is_contradicted = any(
-            t.quantity == one.quantity and t.unit != one.unit and t.slides == one.slides
+            t.quantity == row.quantity and t.unit != row.unit and t.slides == row.slides
             for t in heading_units
             if t.fits
         )
-        if one.quantity and is_contradicted:
-            caveat = f"; other headings of {one.quantity} say otherwise"
+        if row.quantity and is_contradicted:
+            caveat = f"; other headings of {row.quantity} say otherwise"
         else:
             caveat = ""
         if key != "time":
-            out[key] = (one.unit, f"the heading says so ({one.heading}){caveat}")
-    for one in heading_units:
-        if not one.fits:
-            why = f"the heading says so ({one.heading}), but that is no unit of {one.quantity}"
-            out[one.column] = (Question(one.unit), why)
-    out = _time(columns, next((one for one in heading_units if one.quantity == "time"), None)) | out
+            out[key] = (row.unit, f"the heading says so ({row.heading}){caveat}")
+    for row in heading_units:
+        if not row.fits:
+            why = f"the heading says so ({row.heading}), but that is no unit of {row.quantity}"
+            out[row.column] = (Question(row.unit), why)
+    out = _time(columns, next((row for row in heading_units if row.quantity == "time"), None)) | out
     out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
     time = next((columns[name] for name in TIME if name in columns), None)
     unit = out.get("time", ("s", ""))[0]
@@ -220,11 +220,11 @@ def _lengths(
     """Add the unit of sliding joints' positions to `out`, by the headings, else by their speeds,
     ranges, sizes.
     """
-    if any(one.quantity == "length" and one.fits for one in heading_units):
+    if any(row.quantity == "length" and row.fits for row in heading_units):
         return out
     gain = None if time is None else _gain(time, columns.q, columns.v)
     speed_scales = [
-        one.scale for one in heading_units if one.quantity == "velocity" and one.slides and one.fits
+        row.scale for row in heading_units if row.quantity == "velocity" and row.slides and row.fits
     ]
     if gain is not None:  # of speeds in m/s, where no heading says otherwise
         for unit, scale in LENGTH_UNITS.items():
@@ -273,11 +273,11 @@ def _angles(
 ) -> Units:
     """Add the units of angles and of their speeds to `out`."""
     gain = None if time is None else _gain(time, columns.q, columns.v)
-    angle = {one.scale for one in heading_units if one.quantity == "angle" and one.fits}
+    angle = {row.scale for row in heading_units if row.quantity == "angle" and row.fits}
     speed = {
-        one.scale
-        for one in heading_units
-        if one.quantity == "velocity" and one.fits and not one.slides
+        row.scale
+        for row in heading_units
+        if row.quantity == "velocity" and row.fits and not row.slides
     }
     if angle or speed:
         return _by_headings(out, gain, angle, speed, columns)

@@ -141,20 +141,20 @@ class ServoLaws:
         return float(stats.t.ppf(0.95, max(len(self.found.steps) - 1, 1)))
 
 
-def scale_spread(found: ServoLaws) -> np.ndarray:
+def scale_spread(servo_laws: ServoLaws) -> np.ndarray:
     """Standard error [n] of the logarithm of kp, each joint's rotor and a mass at the hand free as
     well: where these and kp can grow together, only ratios are known. Infinite where kp was not
     fitted.
     """
-    model, out = found.found.model, np.full(len(found.laws), np.inf)
+    model, out = servo_laws.found.model, np.full(len(servo_laws.laws), np.inf)
     scaled = [j for j, f in enumerate(model.fits) if "scale" in f.free]
     if not scaled:
         return out
     free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
     shared = model.shared
-    if found.recording.hand >= 0 and "payload" not in shared:
+    if servo_laws.recording.hand >= 0 and "payload" not in shared:
         shared = (*shared, *CARRIED)
-    with_all_free = polish_laws(found.whole, FittedServos(tuple(free), shared), rounds=0)
+    with_all_free = polish_laws(servo_laws.whole, FittedServos(tuple(free), shared), rounds=0)
     spread = jackknife(with_all_free.steps)
     for i, (j, name) in enumerate(with_all_free.model.coordinates):
         if name == "scale":
@@ -165,7 +165,7 @@ def scale_spread(found: ServoLaws) -> np.ndarray:
 def identify_servos(
     recording: Recording,
     notify: Callable[[str], None] = lambda note: None,
-    keep: Callable[[ServoLaws], None] = lambda found: None,
+    keep: Callable[[ServoLaws], None] = lambda polished: None,
 ) -> ServoLaws:
     """The servos' laws that a recording shows: the file's where nothing is lacking, one number that
     all servos share where that explains all, else laws of joints, held against whole trials.
@@ -178,49 +178,53 @@ def identify_servos(
     notify("whole trials by the file")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
-    whole = whole_trials(recording, problems)
-    file, before = _with_friction(whole, file)
+    trials = whole_trials(recording, problems)
+    file, before = _with_friction(trials, file)
     moving_joints = [j for j, p in enumerate(problems) if _is_moving(recording, j)]
-    if file_laws := _nothing_lacking(whole, file, before, moving_joints):
+    if file_laws := _nothing_lacking(trials, file, before, moving_joints):
         error = file_laws.errors
-        return ServoLaws(recording, file_laws, (), error, error, whole)
+        return ServoLaws(recording, file_laws, (), error, error, trials)
     notify("one number that all servos share")
-    found, instead = one_shared(whole, file, STEP_NAMES), ()
-    if found is None:
-        model = _joint_by_joint(whole, file, moving_joints, notify)
-        found, instead = _of_whole_trials(whole, model, file, notify)
-        file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
+    polished, instead = one_shared(trials, file, STEP_NAMES), ()
+    if polished is None:
+        model = _joint_by_joint(trials, file, moving_joints, notify)
+        polished, instead = _of_whole_trials(trials, model, file, notify)
+        file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
 
     def keep_model(model: PolishedLaws, members: Sequence[LawMember]) -> None:
         remaining = tuple(m for m in members if not m.refuted)
-        keep(ServoLaws(recording, model, remaining, before, model.errors, whole, instead))
+        keep(ServoLaws(recording, model, remaining, before, model.errors, trials, instead))
 
-    found, members = _remove_refuted(whole, found, file, notify, keep_model)
-    if not_better := _not_followed_better(whole, before, found, members):
-        found = polish_laws(whole, remove_coordinates(whole, found, not_better, file), rounds=2)
-        found, members = _remove_refuted(whole, found, file, notify, keep_model)
+    polished, members = _remove_refuted(trials, polished, file, notify, keep_model)
+    if not_better := _not_followed_better(trials, before, polished, members):
+        polished = polish_laws(
+            trials, remove_coordinates(trials, polished, not_better, file), rounds=2
+        )
+        polished, members = _remove_refuted(trials, polished, file, notify, keep_model)
     notify("whole trials in finer steps")
-    finer, found = _in_settled_steps(whole, polish_laws(whole, found.model))
-    after = held_out_errors(finer, found)
-    shows = gain_shown(finer, found), scale_shown(finer, found)
-    return ServoLaws(finer.recording, found, members, before, after, finer, instead, *shows)
+    finer, polished = _in_settled_steps(trials, polish_laws(trials, polished.model))
+    after = held_out_errors(finer, polished)
+    shows = gain_shown(finer, polished), scale_shown(finer, polished)
+    return ServoLaws(finer.recording, polished, members, before, after, finer, instead, *shows)
 
 
-def _in_settled_steps(whole: WholeTrials, found: PolishedLaws) -> tuple[WholeTrials, PolishedLaws]:
+def _in_settled_steps(
+    trials: WholeTrials, polished: PolishedLaws
+) -> tuple[WholeTrials, PolishedLaws]:
     """Whole trials in steps that are halved until this moves no joint by what counts beside the
     noise, and the servos fitted to them.
     """
     for _ in range(CLOSED_LOOP.halvings):
-        finer = replace(whole, recording=whole.recording.restepped(0.5))
-        error = finer.errors([found.model.laws])[0]
-        if over_noise(whole, error - found.errors).max() < CLOSED_LOOP.stepped:
+        finer = replace(trials, recording=trials.recording.restepped(0.5))
+        error = finer.errors([polished.model.laws])[0]
+        if over_noise(trials, error - polished.errors).max() < CLOSED_LOOP.stepped:
             break
-        whole, found = finer, polish_laws(finer, found.model, rounds=4)
-    return whole, found
+        trials, polished = finer, polish_laws(finer, polished.model, rounds=4)
+    return trials, polished
 
 
 def _nothing_lacking(
-    whole: WholeTrials, file: Sequence[ServoLaw], before: np.ndarray, moving_joints: Sequence[int]
+    trials: WholeTrials, file: Sequence[ServoLaw], before: np.ndarray, moving_joints: Sequence[int]
 ) -> PolishedLaws | None:
     """The file's laws where they leave no more than noise at the joints that move, at once or with
     how a simulator steps; else None.
@@ -229,22 +233,22 @@ def _nothing_lacking(
         before: Errors [rows, n] rad that they leave at once.
     """
     fits = tuple(LawFit(law, ()) for law in file)
-    if over_noise(whole, before)[moving_joints].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
-        return polish_laws(whole, FittedServos(fits), rounds=0)
-    found = polish_laws(whole, FittedServos(fits, STEP_NAMES))
-    if over_noise(whole, found.errors)[moving_joints].max() < CLOSED_LOOP.lacks_nothing:
-        return found
+    if over_noise(trials, before)[moving_joints].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
+        return polish_laws(trials, FittedServos(fits), rounds=0)
+    polished = polish_laws(trials, FittedServos(fits, STEP_NAMES))
+    if over_noise(trials, polished.errors)[moving_joints].max() < CLOSED_LOOP.lacks_nothing:
+        return polished
     return None
 
 
 def _joint_by_joint(
-    whole: WholeTrials,
+    trials: WholeTrials,
     file: Sequence[ServoLaw],
     moving_joints: Sequence[int],
     notify: Callable[[str], None],
 ) -> FittedServos:
     """Laws fitted to pieces of single joints, with numbers that all joints share."""
-    problems, fits = whole.problems, {j: LawFit(law, ()) for j, law in enumerate(file)}
+    problems, fits = trials.problems, {j: LawFit(law, ()) for j, law in enumerate(file)}
     moving_problems = [problems[j] for j in moving_joints]
     notify("servos, joint by joint")
     fits |= zip(
@@ -263,7 +267,7 @@ def _joint_by_joint(
     if passed := [a for a in attempts if a.passes]:
         shared.append(max(passed, key=lambda a: a.gain).name)
         fits |= zip(moving_joints, new_fits, strict=True)
-    fits, shared = _grow_laws(whole.recording, problems, moving_joints, fits, shared, notify)
+    fits, shared = _grow_laws(trials.recording, problems, moving_joints, fits, shared, notify)
     shared_values = {n: getattr(fits[moving_joints[0]].law, n) for n in shared}
     all_fits = [
         fits[j] if j in moving_joints else fits[j].of(fits[j].law._replace(**shared_values))
@@ -273,7 +277,7 @@ def _joint_by_joint(
 
 
 def _of_whole_trials(
-    whole: WholeTrials,
+    trials: WholeTrials,
     model: FittedServos,
     file: Sequence[ServoLaw],
     notify: Callable[[str], None],
@@ -285,16 +289,16 @@ def _of_whole_trials(
     has_delay = any(n in DELAY_NAMES for n in model.shared)
     step_names = [n for n in STEP_NAMES if n != "shift" or not has_delay]
     model = replace(model, shared=(*model.shared, *step_names))
-    found = or_other_friction(whole, polish_laws(whole, with_mass(whole.recording, model)))
-    found = or_plain(whole, found, file)
-    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
-    found = or_files_gain(whole, or_stepped(whole, found, file), file)
-    found = or_rival(whole, found, file)
-    return or_heavier(whole, found, file)
+    polished = or_other_friction(trials, polish_laws(trials, with_mass(trials.recording, model)))
+    polished = or_plain(trials, polished, file)
+    file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
+    polished = or_files_gain(trials, or_stepped(trials, polished, file), file)
+    polished = or_rival(trials, polished, file)
+    return or_heavier(trials, polished, file)
 
 
 def _with_friction(
-    whole: WholeTrials, laws: Sequence[ServoLaw]
+    trials: WholeTrials, laws: Sequence[ServoLaw]
 ) -> tuple[list[ServoLaw], np.ndarray]:
     """The laws with dry friction that holds still or that creeps as MuJoCo's does, whichever leaves
     less of whole trials, and what these leave.
@@ -303,9 +307,9 @@ def _with_friction(
         [law._replace(sharp=z) for law in laws] for z in (laws[0].sharp, 1.0 - laws[0].sharp)
     ]
     if not any(law.rub for law in laws):
-        return both_laws[0], whole.errors(both_laws[:1])[0]
-    all_errors = whole.errors(both_laws)
-    log_errors = [float(np.log(over_noise(whole, e)).sum()) for e in all_errors]
+        return both_laws[0], trials.errors(both_laws[:1])[0]
+    all_errors = trials.errors(both_laws)
+    log_errors = [float(np.log(over_noise(trials, e)).sum()) for e in all_errors]
     best = int(log_errors[1] < log_errors[0] - CLOSED_LOOP.gain)
     return both_laws[best], all_errors[best]
 
@@ -398,8 +402,8 @@ def _likely_own(problem: JointProblem, fit: LawFit, names: Sequence[str]) -> lis
 
 
 def _remove_refuted(
-    whole: WholeTrials,
-    found: PolishedLaws,
+    trials: WholeTrials,
+    polished: PolishedLaws,
     file: Sequence[ServoLaw],
     notify: Callable[[str], None],
     keep_model: Callable[[PolishedLaws, Sequence[LawMember]], None],
@@ -409,27 +413,29 @@ def _remove_refuted(
     """
     while True:
         notify("whole trials, each number returned to the file's")
-        members = _members(whole, found, file)
-        keep_model(found, members)
+        members = _members(trials, polished, file)
+        keep_model(polished, members)
         refuted = [m for m in members if m.refuted]
         if not refuted:
-            return found, tuple(members)
+            return polished, tuple(members)
         shared = [m for m in refuted if m.coordinates[0][0] == SHARED_BY_ALL]
         if shared:  # one at a time: each may take up what another leaves
             refuted = [min(shared, key=lambda m: m.test.gain)]
         else:
             refuted = _weakest_by_joint(refuted)
         coordinates = [c for m in refuted for c in m.coordinates]
-        found = polish_laws(whole, remove_coordinates(whole, found, coordinates, file), rounds=1)
+        polished = polish_laws(
+            trials, remove_coordinates(trials, polished, coordinates, file), rounds=1
+        )
 
 
 def _not_followed_better(
-    whole: WholeTrials, before: np.ndarray, found: PolishedLaws, members: Sequence[LawMember]
+    trials: WholeTrials, before: np.ndarray, polished: PolishedLaws, members: Sequence[LawMember]
 ) -> list[Coordinate]:
     """Coordinates of joints that the machine, mended, follows no better than by the file, and of
     what all share where that holds of all joints together.
     """
-    ratios = over_noise(whole, found.errors) / np.maximum(over_noise(whole, before), 1e-12)
+    ratios = over_noise(trials, polished.errors) / np.maximum(over_noise(trials, before), 1e-12)
     not_better = []
     for m in members:
         joint = m.coordinates[0][0]
@@ -449,19 +455,22 @@ def _weakest_by_joint(members: Sequence[LawMember]) -> list[LawMember]:
     return list(best.values())
 
 
-def _members(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> list[LawMember]:
+def _members(
+    trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
+) -> list[LawMember]:
     """What may be returned, each with its test: the machine without it, one step on."""
-    sets = _removable_sets(found.model)
-    machines = [remove_coordinates(whole, found, c, file) for c in sets]
-    all_errors = whole.errors([m.laws for m in machines])
+    sets = _removable_sets(polished.model)
+    machines = [remove_coordinates(trials, polished, c, file) for c in sets]
+    all_errors = trials.errors([m.laws for m in machines])
     out = []
     for coordinates, error in zip(sets, all_errors, strict=True):
         joint = coordinates[0][0]
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
-        error_ratio = over_noise(whole, error)[joints].max()
-        test = better_at(whole, error, found.errors, joints)
+        error_ratio = over_noise(trials, error)[joints].max()
+        test = better_at(trials, error, polished.errors, joints)
         change = max(
-            _change(found.model.fits[j].law, file[j], n, whole.problems[j]) for j, n in coordinates
+            _change(polished.model.fits[j].law, file[j], n, trials.problems[j])
+            for j, n in coordinates
         )
         out.append(LawMember(coordinates, test, float(error_ratio), change))
     return out

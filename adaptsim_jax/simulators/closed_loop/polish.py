@@ -67,8 +67,8 @@ class FittedServos:
     @property
     def coordinates(self) -> list[tuple[int, str]]:
         """(joint, name) of what is fitted; joint -1: of all."""
-        own = [(j, n) for j, f in enumerate(self.fits) for n in f.free]
-        return own + [(SHARED_BY_ALL, n) for n in self.shared]
+        of_joints = [(j, n) for j, f in enumerate(self.fits) for n in f.free]
+        return of_joints + [(SHARED_BY_ALL, n) for n in self.shared]
 
 
 @dataclass(frozen=True)
@@ -126,14 +126,16 @@ class WholeTrials:
 
     def step_from(self, model: FittedServos, steps: np.ndarray) -> FittedServos:
         """A step [K] away."""
-        at = dict(zip(model.coordinates, steps, strict=True))
+        step_of = dict(zip(model.coordinates, steps, strict=True))
         fits = []
         for j, (fit, p) in enumerate(zip(model.fits, self.problems, strict=True)):
-            own = np.array([at[j, n] for n in fit.free])
-            law = step_law(p.servo, p.scales, fit.law, fit.free, own) if fit.free else fit.law
+            joint_steps = np.array([step_of[j, n] for n in fit.free])
+            law = (
+                step_law(p.servo, p.scales, fit.law, fit.free, joint_steps) if fit.free else fit.law
+            )
             for name in model.shared:
                 unit = self.unit(p, (SHARED_BY_ALL, name))
-                value = getattr(law, name) + at[SHARED_BY_ALL, name] * unit
+                value = getattr(law, name) + step_of[SHARED_BY_ALL, name] * unit
                 law = clip_law(p.servo, p.scales, law._replace(**{name: value}), (name,))
             fits.append(fit.of(law))
         return FittedServos(tuple(fits), model.shared)
@@ -173,32 +175,32 @@ def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> Whol
     return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
 
 
-def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+def weights(trials: WholeTrials, error: np.ndarray) -> np.ndarray:
     """[n] of joints."""
-    noise = np.array([p.noise for p in whole.problems])
+    noise = np.array([p.noise for p in trials.problems])
     return 1.0 / (np.square(error).mean(0) + np.square(noise))
 
 
-def polish_laws(whole: WholeTrials, model: FittedServos, rounds: int = 8) -> PolishedLaws:
+def polish_laws(trials: WholeTrials, model: FittedServos, rounds: int = 8) -> PolishedLaws:
     """Gauss and Newton's fit over whole trials."""
-    error = whole.errors([model.laws])[0]
+    error = trials.errors([model.laws])[0]
     damping = 1e-3
     while True:
-        weight = weights(whole, error)
-        before = float((np.square(error) * weight).sum()) + whole.pull_loss(model)
-        hess, slope = _linearise(whole, model, error, weight)
-        prior_hess, prior_slope = _pull(whole, model)
+        weight = weights(trials, error)
+        before = float((np.square(error) * weight).sum()) + trials.pull_loss(model)
+        hess, slope = _linearise(trials, model, error, weight)
+        prior_hess, prior_slope = _pull(trials, model)
         if not model.coordinates or rounds == 0:
             break
         total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
         sizes = damping * np.array([1e-3, 1.0, 30.0, 1e3])
         diagonal = np.diag(np.diag(total))
-        room = whole.room(model, 0.7)
+        room = trials.room(model, 0.7)
         steps = [solve_within(total + z * diagonal, right, *room) for z in sizes]
-        tries = [whole.step_from(model, step) for step in steps]
-        errors_of_tries = whole.errors([t.laws for t in tries])
+        tries = [trials.step_from(model, step) for step in steps]
+        errors_of_tries = trials.errors([t.laws for t in tries])
         loss = [
-            float((np.square(e) * weight).sum()) + whole.pull_loss(t)
+            float((np.square(e) * weight).sum()) + trials.pull_loss(t)
             for e, t in zip(errors_of_tries, tries, strict=True)
         ]
         best = int(np.argmin(loss))
@@ -208,71 +210,74 @@ def polish_laws(whole: WholeTrials, model: FittedServos, rounds: int = 8) -> Pol
         damping = float(np.clip(sizes[best], 1e-7, 1e3))
         if loss[best] > before * (1.0 - CLOSED_LOOP.settled):
             rounds = 0
-    return PolishedLaws(model, error, hess, slope, _jackknife_steps(whole, model, hess, slope))
+    return PolishedLaws(model, error, hess, slope, _jackknife_steps(trials, model, hess, slope))
 
 
-def _linearise(whole: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
+def _linearise(trials: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
     """Normal equations by piece, by differences."""
     at = model.coordinates
     size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
-    changed = [whole.step_from(model, row) for row in np.diag(size)]
-    count = len(whole.recording.pieces)
+    changed = [trials.step_from(model, row) for row in np.diag(size)]
+    count = len(trials.recording.pieces)
     hess, slope = np.zeros((count, len(at), len(at))), np.zeros((count, len(at)))
     if not at:
         return hess, slope
-    base_error, *changed_errors = whole.errors([m.laws for m in (model, *changed)], roughly=True)
+    base_error, *changed_errors = trials.errors([m.laws for m in (model, *changed)], roughly=True)
     derivative = np.stack(
         [(e - base_error) / h for e, h in zip(changed_errors, size, strict=True)], -1
     )
     for i in range(count):
-        rows = whole.block == i
+        rows = trials.block == i
         d = derivative[rows]
         hess[i] = np.einsum("rja,rjb,j->ab", d, d, weight)
         slope[i] = np.einsum("rja,rj,j->a", d, error[rows], weight)
     return hess, slope
 
 
-def _pull(whole: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
+def _pull(trials: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
     count = len(model.coordinates)
     hess, slope, k = np.zeros((count, count)), np.zeros(count), 0
-    for p, f in zip(whole.problems, model.fits, strict=True):
+    for p, f in zip(trials.problems, model.fits, strict=True):
         size = len(f.free)
         hess[k : k + size, k : k + size], slope[k : k + size] = prior_of(p, f)
         k += size
     return hess, slope
 
 
-def _jackknife_steps(whole: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
-    prior = _pull(whole, model)
-    groups = whole.problems[0].groups
+def _jackknife_steps(trials: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
+    prior = _pull(trials, model)
+    groups = trials.problems[0].groups
     total, right = hess.sum(0) + prior[0], slope.sum(0) + prior[1]
-    room = whole.room(model, 0.7)
+    room = trials.room(model, 0.7)
     full_step = solve_within(total, right, *room)
     steps = [solve_within(total - hess[g].sum(0), right - slope[g].sum(0), *room) for g in groups]
     return np.array(steps) - full_step
 
 
-def held_out_errors(whole: WholeTrials, found: PolishedLaws) -> np.ndarray:
+def held_out_errors(trials: WholeTrials, polished: PolishedLaws) -> np.ndarray:
     """Errors [rows, n] rad of whole trials, each group of pieces by the numbers that one step
     without it gives.
     """
-    out = found.errors.copy()
-    groups = whole.problems[0].groups
-    if not found.model.coordinates:
+    out = polished.errors.copy()
+    groups = trials.problems[0].groups
+    if not polished.model.coordinates:
         return out
-    models = [whole.step_from(found.model, np.clip(step, -0.7, 0.7)) for step in found.steps]
-    errors_by_group = whole.errors([m.laws for m in models])
+    models = [trials.step_from(polished.model, np.clip(step, -0.7, 0.7)) for step in polished.steps]
+    errors_by_group = trials.errors([m.laws for m in models])
     for group, error in zip(groups, errors_by_group, strict=True):
-        rows = np.isin(whole.block, group)
+        rows = np.isin(trials.block, group)
         out[rows] = error[rows]
     return out
 
 
 def remove_coordinates(
-    whole: WholeTrials, found: PolishedLaws, removed: Sequence[Coordinate], base: Sequence[ServoLaw]
+    trials: WholeTrials,
+    polished: PolishedLaws,
+    removed: Sequence[Coordinate],
+    base: Sequence[ServoLaw],
 ) -> FittedServos:
     """The servos with some coordinates as the laws `base` have them, the others one step on."""
-    model, at = found.model, found.model.coordinates
+    model, at = polished.model, polished.model.coordinates
     fits = []
     for j, (fit, law) in enumerate(zip(model.fits, base, strict=True)):
         base_names = [name for k, name in removed if k in (j, SHARED_BY_ALL)]
@@ -283,12 +288,12 @@ def remove_coordinates(
     remaining = [i for i, c in enumerate(at) if c not in removed]
     if not remaining:
         return new
-    distances = np.array([_distance(whole, model, new, c) if c in removed else 0.0 for c in at])
-    prior_hess, prior_slope = _pull(whole, model)
-    hess, slope = found.hess.sum(0) + prior_hess, found.slope.sum(0) + prior_slope
+    distances = np.array([_distance(trials, model, new, c) if c in removed else 0.0 for c in at])
+    prior_hess, prior_slope = _pull(trials, model)
+    hess, slope = polished.hess.sum(0) + prior_hess, polished.slope.sum(0) + prior_slope
     right = slope[remaining] + hess[remaining] @ distances
-    room = whole.room(new, 0.5)
-    return whole.step_from(new, solve_within(hess[np.ix_(remaining, remaining)], right, *room))
+    room = trials.room(new, 0.5)
+    return trials.step_from(new, solve_within(hess[np.ix_(remaining, remaining)], right, *room))
 
 
 def _with_base_values(
@@ -313,10 +318,10 @@ def _with_base_values(
     return ServoLaw(**new)
 
 
-def _distance(whole: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
+def _distance(trials: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
     """By how many units of its coordinate a number was moved."""
     j, name = max(at[0], 0), at[1]
-    law, new_law, p = model.fits[j].law, new.fits[j].law, whole.problems[j]
+    law, new_law, p = model.fits[j].law, new.fits[j].law, trials.problems[j]
     stiffness = "damping" if p.servo.follows_speed else "kp"
 
     def log_ratio(number):
@@ -328,13 +333,13 @@ def _distance(whole: WholeTrials, model: FittedServos, new: FittedServos, at: Co
         return log_ratio("damping") - log_ratio("kp")
     if name == "limit":
         return 0.0
-    return (getattr(new_law, name) - getattr(law, name)) / whole.unit(p, at)
+    return (getattr(new_law, name) - getattr(law, name)) / trials.unit(p, at)
 
 
-def over_noise(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+def over_noise(trials: WholeTrials, error: np.ndarray) -> np.ndarray:
     """RMS errors over the noise [n]."""
-    noise = np.array([p.noise for p in whole.problems])
-    return np.sqrt(np.square(error[whole.counted]).mean(0)) / noise
+    noise = np.array([p.noise for p in trials.problems])
+    return np.sqrt(np.square(error[trials.counted]).mean(0)) / noise
 
 
 class Better(NamedTuple):
@@ -357,13 +362,13 @@ class Better(NamedTuple):
 
 
 def better_at(
-    whole: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
+    trials: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
 ) -> Better:
     """How errors [rows, n] `after` are better than `before` at some joints."""
-    rows = np.bincount(whole.block[whole.block >= 0], minlength=len(whole.recording.pieces))
-    noise = np.array([whole.problems[j].noise for j in joints])
+    rows = np.bincount(trials.block[trials.block >= 0], minlength=len(trials.recording.pieces))
+    noise = np.array([trials.problems[j].noise for j in joints])
     before_over_noise, after_over_noise = (
-        np.sqrt(whole.by_piece(e)[:, joints] / np.maximum(rows, 1)[:, None]) / noise
+        np.sqrt(trials.by_piece(e)[:, joints] / np.maximum(rows, 1)[:, None]) / noise
         for e in (before, after)
     )
     floor = 0.05  # of the squared noise, below which nothing counts

@@ -55,14 +55,14 @@ def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
     return FittedServos(fits, tuple(dict.fromkeys((*model.shared, *CARRIED))))
 
 
-def or_rival(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
+def or_rival(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """The servos with a shared number's rival in its place, where that leaves less."""
     for names, others in RIVALS:
-        shared, allowed = found.model.shared, allowed_by_all(whole.recording)
+        shared, allowed = polished.model.shared, allowed_by_all(trials.recording)
         if names[0] not in shared or others[0] in shared or others[0] not in allowed:
             continue
         fits = []
-        for fit, law in zip(found.model.fits, file, strict=True):
+        for fit, law in zip(polished.model.fits, file, strict=True):
             numbers = {n: getattr(law, n) for n in (*names, *others)}
             if others[0] in DELAY_NAMES:
                 numbers[others[0]] = getattr(fit.law, names[0])
@@ -70,74 +70,76 @@ def or_rival(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) 
                 numbers["reach"] = CLOSED_LOOP.tool
             fits.append(fit.of(fit.law._replace(**numbers)))
         other_shared = tuple(n for n in shared if n not in names)
-        rival = polish_laws(whole, FittedServos(tuple(fits), (*others, *other_shared)))
-        if log_error(whole, rival) < log_error(whole, found) - CLOSED_LOOP.gain:
+        rival = polish_laws(trials, FittedServos(tuple(fits), (*others, *other_shared)))
+        if log_error(trials, rival) < log_error(trials, polished) - CLOSED_LOOP.gain:
             return rival
-    return found
+    return polished
 
 
-def or_other_friction(whole: WholeTrials, found: PolishedLaws) -> PolishedLaws:
+def or_other_friction(trials: WholeTrials, polished: PolishedLaws) -> PolishedLaws:
     """With dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
     once all else is fitted with it.
     """
-    if not any(law.rub for law in found.model.laws):
-        return found
-    fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in found.model.fits)
-    rival = polish_laws(whole, replace(found.model, fits=fits), rounds=2)
-    if log_error(whole, rival) < log_error(whole, found) - CLOSED_LOOP.gain:
+    if not any(law.rub for law in polished.model.laws):
+        return polished
+    fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in polished.model.fits)
+    rival = polish_laws(trials, replace(polished.model, fits=fits), rounds=2)
+    if log_error(trials, rival) < log_error(trials, polished) - CLOSED_LOOP.gain:
         return rival
-    return found
+    return polished
 
 
-def or_plain(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
+def or_plain(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """Without gravity fed forward and what single joints were given beside their law, where a mass
     at the hand does as well: pieces of single joints do not know of it.
     """
-    model = found.model
+    model = polished.model
     additions = [(j, n) for j, f in enumerate(model.fits) for n in f.free if n not in OF_LAW]
     additions += [(SHARED_BY_ALL, "lift")] * ("lift" in model.shared)
     if not additions or "payload" not in model.shared:
-        return found
-    start = remove_coordinates(whole, found, additions, file)
+        return polished
+    start = remove_coordinates(trials, polished, additions, file)
     fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
-    rival = polish_laws(whole, replace(start, fits=fits))
+    rival = polish_laws(trials, replace(start, fits=fits))
     payload = rival.model.laws[0].payload
-    if payload > 0.0 and log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
+    if payload > 0.0 and log_error(trials, rival) < log_error(trials, polished) + CLOSED_LOOP.gain:
         return rival
-    return found
+    return polished
 
 
-def or_stepped(whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
+def or_stepped(
+    trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
+) -> PolishedLaws:
     """Without any rotor, where damping that acts at another time in a step does as well."""
-    rotors = [(j, "rotor") for j, f in enumerate(found.model.fits) if "rotor" in f.free]
+    rotors = [(j, "rotor") for j, f in enumerate(polished.model.fits) if "rotor" in f.free]
     if not rotors:
-        return found
-    rival = polish_laws(whole, remove_coordinates(whole, found, rotors, file))
-    if log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
+        return polished
+    rival = polish_laws(trials, remove_coordinates(trials, polished, rotors, file))
+    if log_error(trials, rival) < log_error(trials, polished) + CLOSED_LOOP.gain:
         return rival
-    return found
+    return polished
 
 
-def log_error(whole: WholeTrials, found: PolishedLaws) -> float:
+def log_error(trials: WholeTrials, polished: PolishedLaws) -> float:
     """Logarithm of what is left of whole trials over the noise, summed over joints."""
-    return float(np.log(over_noise(whole, found.errors)).sum())
+    return float(np.log(over_noise(trials, polished.errors)).sum())
 
 
 def or_heavier(
-    whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]
+    trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
 ) -> tuple[PolishedLaws, tuple[int, ...]]:
     """A mass that is carried in the place of kp and damping that are the file's times one factor,
     where whole trials are simulated as well, by fewer numbers; and the joints whose gains say the
     same.
     """
-    model = found.model
+    model = polished.model
     joints = tuple(
         j
         for j, (fit, law) in enumerate(zip(model.fits, file, strict=True))
         if "scale" in fit.free and law.kp > 0.0 and _same_ratio(fit.law, law)
     )
-    if not joints or "payload" not in allowed_by_all(whole.recording):
-        return found, ()
+    if not joints or "payload" not in allowed_by_all(trials.recording):
+        return polished, ()
     fits = list(model.fits)
     for j in joints:
         law, free = fits[j].law, tuple(n for n in fits[j].free if n not in ("scale", "damping"))
@@ -145,74 +147,80 @@ def or_heavier(
     if "payload" not in model.shared:
         fits = [f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in fits]
     shared = tuple(dict.fromkeys((*model.shared, *CARRIED)))
-    rival = polish_laws(whole, FittedServos(tuple(fits), shared), rounds=8)
-    if log_error(whole, rival) < log_error(whole, found) + CLOSED_LOOP.gain:
+    rival = polish_laws(trials, FittedServos(tuple(fits), shared), rounds=8)
+    if log_error(trials, rival) < log_error(trials, polished) + CLOSED_LOOP.gain:
         return rival, joints
-    return found, ()
+    return polished, ()
 
 
 def or_files_gain(
-    whole: WholeTrials, found: PolishedLaws, file: Sequence[ServoLaw]
+    trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
 ) -> PolishedLaws:
     """With the file's kp where motion is cut by a limit, which hardly shows kp: where that leaves
     less, all else as it was and fitted from there.
     """
-    limited_joints = [j for j, f in enumerate(found.model.fits) if {"scale", "limit"} <= {*f.free}]
+    limited_joints = [
+        j for j, f in enumerate(polished.model.fits) if {"scale", "limit"} <= {*f.free}
+    ]
     if not limited_joints:
-        return found
-    fits = list(found.model.fits)
+        return polished
+    fits = list(polished.model.fits)
     for j in limited_joints:
         fits[j] = fits[j].of(fits[j].law._replace(kp=file[j].kp))
-    rival = polish_laws(whole, replace(found.model, fits=tuple(fits)))
-    return min((found, rival), key=lambda f: log_error(whole, f))
+    rival = polish_laws(trials, replace(polished.model, fits=tuple(fits)))
+    return min((polished, rival), key=lambda f: log_error(trials, f))
 
 
-def gain_shown(whole: WholeTrials, found: PolishedLaws) -> tuple[bool, ...]:
+def gain_shown(trials: WholeTrials, polished: PolishedLaws) -> tuple[bool, ...]:
     """Whether whole trials show kp at each joint, damping and limit as they are."""
-    laws = found.model.laws
-    return _is_shown(whole, found, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
+    laws = polished.model.laws
+    return _is_shown(trials, polished, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
 
 
-def scale_shown(whole: WholeTrials, found: PolishedLaws) -> tuple[bool, ...]:
+def scale_shown(trials: WholeTrials, polished: PolishedLaws) -> tuple[bool, ...]:
     """Whether they show the scale of all that was fitted of each joint's servo together."""
 
     def other(j: int, z: float) -> ServoLaw:
-        fit, p = found.model.fits[j], whole.problems[j]
+        fit, p = polished.model.fits[j], trials.problems[j]
         step = np.array([z * (name == "scale") for name in fit.free])
         return step_law(p.servo, p.scales, fit.law, fit.free, step)
 
-    return _is_shown(whole, found, other)
+    return _is_shown(trials, polished, other)
 
 
 def _is_shown(
-    whole: WholeTrials, found: PolishedLaws, other: Callable[[int, float], ServoLaw]
+    trials: WholeTrials, polished: PolishedLaws, other: Callable[[int, float], ServoLaw]
 ) -> tuple[bool, ...]:
     """Whether each joint is simulated worse by another law of its servo: by `other(joint, z)`, in
     either direction of z, the logarithm of a factor.
     """
-    laws, joints, z = found.model.laws, range(len(found.model.laws)), np.log(CLOSED_LOOP.other_gain)
+    laws, joints, z = (
+        polished.model.laws,
+        range(len(polished.model.laws)),
+        np.log(CLOSED_LOOP.other_gain),
+    )
     changes = [
         (j, direction)
         for j in joints
-        if "scale" in found.model.fits[j].free
+        if "scale" in polished.model.fits[j].free
         for direction in (z, -z)
     ]
-    changed_errors = whole.errors(
+    changed_errors = trials.errors(
         [
             [other(j, direction) if i == j else law for i, law in enumerate(laws)]
             for j, direction in changes
         ]
     )
-    error_now, least_increase = over_noise(whole, found.errors), dict.fromkeys(joints, np.inf)
+    error_now, least_increase = over_noise(trials, polished.errors), dict.fromkeys(joints, np.inf)
     for (j, _), error in zip(changes, changed_errors, strict=True):
         least_increase[j] = min(
-            least_increase[j], 2.0 * np.log(over_noise(whole, error)[j] / error_now[j])
+            least_increase[j], 2.0 * np.log(over_noise(trials, error)[j] / error_now[j])
         )
     return tuple(least_increase[j] > CLOSED_LOOP.clearly for j in joints)
 
 
 def one_shared(
-    whole: WholeTrials, file: Sequence[ServoLaw], step_names: Sequence[str]
+    trials: WholeTrials, file: Sequence[ServoLaw], step_names: Sequence[str]
 ) -> PolishedLaws | None:
     """The file's laws with one number that all joints share (a delay, a filter, a mass at the hand,
     gravity fed forward), where nothing that is left could show another.
@@ -220,18 +228,18 @@ def one_shared(
     Args:
         step_names: How a simulator steps, fitted with it.
     """
-    allowed, candidates = allowed_by_all(whole.recording), []
+    allowed, candidates = allowed_by_all(trials.recording), []
     for names in (CARRIED, ("lift",), ("delay",), ("lag",)):
         if names[0] not in allowed:
             continue
         free_step_names = [n for n in step_names if n != "shift" or names[0] not in DELAY_NAMES]
         reach = CLOSED_LOOP.tool if names is CARRIED else 0.0
         fits = tuple(LawFit(law._replace(reach=reach), ()) for law in file)
-        rough = polish_laws(whole, FittedServos(fits, (*names, *free_step_names)), rounds=3)
-        if over_noise(whole, rough.errors).max() < CLOSED_LOOP.hopeful:
-            candidates.append(polish_laws(whole, rough.model))
-    best = min(candidates, key=lambda f: log_error(whole, f), default=None)
-    if best is None or over_noise(whole, best.errors).max() > CLOSED_LOOP.shown:
+        rough = polish_laws(trials, FittedServos(fits, (*names, *free_step_names)), rounds=3)
+        if over_noise(trials, rough.errors).max() < CLOSED_LOOP.hopeful:
+            candidates.append(polish_laws(trials, rough.model))
+    best = min(candidates, key=lambda f: log_error(trials, f), default=None)
+    if best is None or over_noise(trials, best.errors).max() > CLOSED_LOOP.shown:
         return None
     return best
 

@@ -103,8 +103,8 @@ def fit_shared(
             unit = problem.scales.unit(name)
             out = []
             for steps, shift in tries:
-                own_law = step_law(problem.servo, problem.scales, fit.law, fit.free, steps[at])
-                law = own_law._replace(**{name: getattr(fit.law, name) + shift * unit})
+                joint_law = step_law(problem.servo, problem.scales, fit.law, fit.free, steps[at])
+                law = joint_law._replace(**{name: getattr(fit.law, name) + shift * unit})
                 out.append(clip_law(problem.servo, problem.scales, law, (*fit.free, name)))
             return out
 
