@@ -126,7 +126,7 @@ def _run(pipe: Any, work: Callable[..., Any], args: tuple[Any, ...]) -> None:
 
 
 def _picklable(error: Exception) -> Exception:
-    """The same, or its words where it cannot be sent."""
+    """Return the error, or its words in another where it cannot be sent."""
     import pickle
 
     try:

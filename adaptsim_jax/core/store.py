@@ -410,8 +410,8 @@ class RunFolder:
         return load_checkpoint(folder, like, task=self.task)
 
     def restore(self, like: Any) -> tuple[Any, int]:
-        """As `load`, to continue: metrics written after the checkpoint are cut off, for they will
-        come again.
+        """Load as `load` does, to continue: metrics written after the checkpoint are cut off, for
+        they will come again.
 
         Without a checkpoint (killed before the first one) the metrics are emptied and `(like, 0)`
         comes back.

@@ -317,7 +317,7 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """By which a search of short trials knows it."""
+        """The name by which a search of short trials knows it."""
         return self.name
 
     @property
@@ -385,7 +385,7 @@ class Effect:
         return self.grid
 
     def grid_points(self, reach: Reach, joint: int) -> Sequence[Mapping[str, float]]:
-        """The same over what the data cover."""
+        """Return shapes to score at over what the data cover."""
         if callable(self.grid):
             return self.grid(reach, joint)
         return self.points

@@ -284,7 +284,7 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
 
 
 def _expand_lists(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """With places of lists by our name of these; lists that seem to be nothing are left out."""
+    """Name places of lists by our name of these; lists that seem to be nothing are left out."""
     lists = _lists(path)
     out = {}
     for name, values in columns.items():

@@ -84,7 +84,7 @@ class ModelNames:
         return self.parents or tuple(range(-1, len(self.joints) - 1))
 
     def only(self, indices: Sequence[int]) -> ModelNames:
-        """The same of the joints with these numbers."""
+        """Return the names of the joints with these numbers alone."""
         new_index = {j: i for i, j in enumerate(indices)}
 
         def before(j: int) -> int:

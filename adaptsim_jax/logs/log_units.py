@@ -85,7 +85,7 @@ class Affine:
     count: float | None = None
 
     def of(self, written: np.ndarray) -> np.ndarray:
-        """In SI units."""
+        """Convert values as written to SI units."""
         if self.offset:
             return written * self.scale + self.offset
         return written * self.scale

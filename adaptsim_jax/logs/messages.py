@@ -170,8 +170,8 @@ def stamp_of(message: Any) -> int:
 
 
 def nanoseconds(time: Any) -> int:
-    """Of a time or duration of ROS, JSON (also by ISO 8601) or protobuf, or a number of seconds; 0
-    for none.
+    """Convert a time or duration to ns: of ROS, JSON (also by ISO 8601) or protobuf, or a number of
+    seconds; 0 for none.
     """
     if time is None:
         return 0

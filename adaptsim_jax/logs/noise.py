@@ -41,9 +41,9 @@ ALIKE = 0.5  # of an encoder's step: with more noise than that few rows would re
 
 
 def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """The same by medians, or by the mean square where most rows are rounded to one value: there at
-    most `ALIKE` of the encoder's step, since all else is motion. Never less than rounding to those
-    steps makes.
+    """Estimate the same by medians, or by the mean square where most rows are rounded to one value:
+    there at most `ALIKE` of the encoder's step, since all else is motion. Never less than rounding
+    to those steps makes.
     """
     noise, rows = difference_noise(parts), np.concatenate(parts)
     is_noisy = noise > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)

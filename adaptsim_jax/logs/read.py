@@ -75,7 +75,7 @@ def read_with_model(
 def read_source_and_log(
     source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Source, Log]:
-    """The same with the model file as it is, and the log of all its joints."""
+    """Read the model file as it is, and the log of all its joints."""
     source, meta, notes = _source_and_meta(source, meta)
     path = str(model) if model is not None else meta.model
     if path is None:

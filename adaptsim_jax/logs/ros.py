@@ -396,7 +396,7 @@ def _with_whole_turns(command: Series, states: list[Series], servos: Mapping[str
 def _with_model_joints(
     series: list[Series], wanted: Wanted
 ) -> tuple[list[Series], tuple[str, ...]]:
-    """Without what `ignore` names, and without whole joints that the model lacks where all that it
+    """Remove what `ignore` names, and whole joints that the model lacks where all that it
     has are there: what speaks of others decides nothing of the clock.
     """
     joints = wanted.joints
@@ -431,7 +431,7 @@ def _with_model_joints(
 
 
 def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Without efforts, and without speeds, that are zero throughout, as drivers write them that
+    """Remove efforts, and speeds, that are zero throughout, as drivers write them that
     have none.
     """
     notes: tuple[str, ...] = ()

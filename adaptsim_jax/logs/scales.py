@@ -121,8 +121,8 @@ def scales_of(
     lerobot: bool,
     ranges: Mapping[str, tuple[float, float]],
 ) -> dict[str, Scale]:
-    """By joint, of `columns`: joint -> its angles and targets as written. In a data set of LeRobot
-    all joints of an arm are in one scale.
+    """Find the scale of each joint, of `columns`: joint -> its angles and targets as written. In a
+    data set of LeRobot all joints of an arm are in one scale.
     """
     scales = {
         joint: scale

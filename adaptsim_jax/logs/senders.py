@@ -112,7 +112,9 @@ def _leaps(q: np.ndarray) -> bool:
 
 
 def _leaps_back(q: np.ndarray, min_leap: np.ndarray) -> np.ndarray:
-    """Where values `[K, n]` leap by more than `min_leap [n]`, and back at once `[K - 2, n]`."""
+    """Find where values `[K, n]` leap by more than `min_leap [n]`, and back at once `[K - 2,
+    n]`.
+    """
     step = np.diff(q, axis=0)
     is_leap = np.abs(step) > min_leap
     return is_leap[:-1] & is_leap[1:] & (step[:-1] * step[1:] < 0)

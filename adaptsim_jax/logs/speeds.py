@@ -88,7 +88,7 @@ def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | Non
 
 
 def _log_uncertainty(found: Agreement) -> float:
-    """By how much a ratio may be off, in log: noise of the speeds makes it too large."""
+    """Estimate by how much a ratio may be off, in log: noise of the speeds makes it too large."""
     errors = SIGNAL.gain_errors * found.spread / abs(found.gain)
     return min(UNIT.log_tolerance, max(UNIT.ratio_tolerance, errors, 1.0 - found.r2))
 

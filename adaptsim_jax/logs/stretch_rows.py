@@ -87,7 +87,9 @@ def broken(time: np.ndarray) -> np.ndarray:
 
 
 def _first_rows(trial: TrialSpans) -> list[int]:
-    """Where consecutive stretches begin, over no gap, with enough of their angles read."""
+    """Find the rows where consecutive stretches begin, over no gap, with enough of their angles
+    read.
+    """
     gaps = np.flatnonzero(broken(trial.time))
     read_share = np.isfinite(trial.q).mean(1) if trial.q.shape[1] else np.ones(len(trial.time))
     begins, row = [], 0

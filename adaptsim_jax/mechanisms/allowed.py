@@ -179,7 +179,7 @@ def _driven(source: Source) -> Mechanism:
 
 
 def _coordinates(source: Source, m: Mechanism) -> tuple[np.ndarray, tuple[Coordinate, ...]]:
-    """Where held joints are [nq], and the joints that move, leaders first."""
+    """Return the pose of held joints [nq], and the joints that move, leaders first."""
     model, names, roles = source.model, m.tree.joint_names, m.roles
     assert roles is not None
     pose, leaders, followers = pose_of(model)[0].copy(), [], []

@@ -328,7 +328,7 @@ def _ancestry(tree: Tree) -> np.ndarray:
 
 
 def _about(motion: Pair, point: Vector) -> Pair:
-    """The same motion, about another point."""
+    """Express a motion about another point."""
     return motion[0], plus(motion[1], cross(motion[0], point))
 
 

@@ -39,7 +39,7 @@ def parse(name: str) -> NumberName | None:
 
 
 def element_names(model: mujoco.MjModel, kind: str) -> list[str | None]:
-    """By number; None for one without a name."""
+    """Return the names of elements by number; None for one without a name."""
     count = getattr(model, _COUNTS.get(kind, f"n{kind}"))
     return [mujoco.mj_id2name(model, _object(kind), i) for i in range(count)]
 

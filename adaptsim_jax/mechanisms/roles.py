@@ -175,7 +175,9 @@ def _fixed(model: mujoco.MjModel) -> dict[str, float]:
 
 
 def pose_of(model: mujoco.MjModel) -> tuple[np.ndarray, str]:
-    """Where joints are held: the file's `home`, where it has one, else its zero."""
+    """Return the pose at which joints are held, and its name: the file's `home`, where it has one,
+    else its zero.
+    """
     for k in range(model.nkey):
         if model.key(k).name.lower() == HOME:
             return model.key_qpos[k], f"as in key '{model.key(k).name}'"

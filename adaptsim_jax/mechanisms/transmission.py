@@ -123,8 +123,10 @@ def read_actuators(
             where = {TENDON: "a tendon over sites"}.get(
                 kind, f"a {mujoco.mjtTrn(kind).name[6:].lower()}"
             )
-            where = where if kind not in JOINT_TRANSMISSIONS else "a ball or free joint"
-            passive.unsupported.append(f"actuator '{name}' on {where}")
+            passive.unsupported.append(
+                f"actuator '{name}' on "
+                f"{where if kind not in JOINT_TRANSMISSIONS else 'a ball or free joint'}"
+            )
             continue
         slope, zero_length = affine_length
         gear = float(model.actuator_gear[k, 0])

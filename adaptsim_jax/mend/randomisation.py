@@ -164,7 +164,7 @@ def _declared(model: mujoco.MjModel) -> dict[str, tuple[float, str]]:
 
 
 def _servos(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
-    """By joint the actuator at it and the square of its gear."""
+    """Return by joint the actuator at it and the square of its gear."""
     joint_transmissions = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return {
         model.joint(model.actuator_trnid[k, 0]).name: (

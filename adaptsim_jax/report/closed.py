@@ -7,7 +7,9 @@ from adaptsim_jax.report.figures import distinct, label
 
 
 def cells(results: Mapping) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """By target and method `(simulator, return)`: mean over seeds, with the range of them."""
+    """Collect by target and method `(simulator, return)`: mean over seeds, with the range of
+    them.
+    """
     rows = results["rows"]
     out = []
     for target in distinct(rows, "target"):

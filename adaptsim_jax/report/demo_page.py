@@ -212,8 +212,10 @@ def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     ]
 
     def changed(contact):
-        before, after = _reward(contact.before), _reward(contact.after)
-        return f"reward {before} before adaptation, {after} after, of 1"
+        return (
+            f"reward {_reward(contact.before)} before adaptation, "
+            f"{_reward(contact.after)} after, of 1"
+        )
 
     return [
         (

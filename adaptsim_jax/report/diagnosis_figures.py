@@ -163,7 +163,7 @@ def error_pair(
 
 
 def view_side(tracks: Mapping) -> str:
-    """Where tracks are looked at from, by their `axes`."""
+    """Say where tracks are looked at from, by their `axes`."""
     if "z" in (tracks.get("axes") or ()):
         return "the side"
     return "above"
@@ -271,7 +271,7 @@ PANEL = (9.0, 1.7)  # inches, of a joint
 
 
 def save_replay(replay: Replay, path: Path) -> None:
-    """Of the first trial: a panel for each joint (the worst first where there are many), measured
+    """Draw the first trial: a panel for each joint (the worst first where there are many), measured
     and simulated, stretch after stretch.
     """
     joints = sorted(np.argsort(-np.median(replay.error, 0))[:MOST_JOINTS])

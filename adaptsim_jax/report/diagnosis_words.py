@@ -111,9 +111,10 @@ def headline(report: Mapping) -> str:
 
 
 def worse_files(report: Mapping) -> str:
-    """Which of the files that were written simulate a joint worse than the declared one, the joint at
-    which each is worst, and by how much. Empty where none does.
-    """  # noqa: E501
+    """Say which written files simulate a joint worse than the declared one.
+
+    Names the joint at which each is worst, and by how much. Empty where none does.
+    """
     parts = []
     for name, rows in _worse(report).items():
         if rows:
@@ -129,14 +130,15 @@ def worse_files(report: Mapping) -> str:
 
 
 def _worse(report: Mapping) -> dict[str, list[Mapping]]:
-    """By file the rows of joints that it simulates worse than the declared one, worst first."""
+    """Return by file the rows of joints that it simulates worse than the declared, worst first."""
     files = report.get("files") or {}
     return {name: [row for row in rows if row["worse"]] for name, rows in files.items()}
 
 
 def unpredicted(report: Mapping) -> str:
-    """That a straight line simulates most joints better than any file, and at how many. Empty where
-    files do better, or none was run.
+    """Say that a straight line simulates most joints better than any file, and at how many.
+
+    Empty where files do better, or none was run.
     """
     rows = [row for file_rows in (report.get("files") or {}).values() for row in file_rows]
     joints = {row["joint"] for row in rows}
@@ -150,9 +152,10 @@ def unpredicted(report: Mapping) -> str:
 
 
 def _files(report: Mapping) -> str:
-    """What to take the files for where one of them is worse than the declared one, or none simulates;
-    empty otherwise.
-    """  # noqa: E501
+    """Say what to take the files for where one is worse than the declared one, or none simulates.
+
+    Empty otherwise.
+    """
     if caveat := unpredicted(report):
         return (
             f"Do not simulate these motions by any file: {caveat}. The mended model is good for "
@@ -167,9 +170,7 @@ def _files(report: Mapping) -> str:
 
 
 def _behind(report: Mapping, best: str) -> str:
-    """Where a file that is no worse than the declared one is farthest behind the best, and by how
-    much.
-    """
+    """Say where a file that is no worse than the declared one is farthest behind the best."""
     files = report["files"]
     pairs = [
         (name, row, best_row)
@@ -349,6 +350,6 @@ def next_words(report: Mapping) -> str:
 
 
 def _skill(report: Mapping) -> float:
-    """Of the mended model by the yardstick by which it does best; 1 where none was looked at."""
+    """Return the mended model's skill by the yardstick that favours it most, or 1."""
     skills = [row["skill"] for row in (report.get("yardsticks") or {}).get("mended", {}).values()]
     return max((z for z in skills if z is not None and z == z), default=1.0)

@@ -94,7 +94,7 @@ class SweptRewards(NamedTuple):
 
 
 def swept_rewards(results: Mapping, key: str) -> SweptRewards:
-    """Of one swept key."""
+    """Collect the rewards of one swept key."""
     rows = [r for r in results["summary"] if r["key"] == key and r["mean"] is not None]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
     is_numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)

@@ -70,12 +70,12 @@ def cogging(p, m):
 
 
 def _of_joint_before(z):
-    """Of the joint before each, [n, ...]; zero at the first."""
+    """Return the value of the joint before each, [n, ...]; zero at the first."""
     return jnp.concatenate([jnp.zeros_like(z[:1]), z[:-1]])
 
 
 def _of_joint_after(z):
-    """Of the joint after each; zero at the last."""
+    """Return the value of the joint after each; zero at the last."""
     return jnp.concatenate([z[1:], jnp.zeros_like(z[:1])])
 
 

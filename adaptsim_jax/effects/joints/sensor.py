@@ -58,8 +58,8 @@ def _filtered_slope(slope, decay):
 
 
 def _turning_angles(t, q, v):
-    """Where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it does
-    not.
+    """Compute where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it
+    does not.
     """
     is_turning = v[:-1] * v[1:] < 0.0
     slowing = jnp.where(is_turning, v[:-1] - v[1:], 1.0)

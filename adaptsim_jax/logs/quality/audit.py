@@ -142,7 +142,7 @@ def _faults(n_trials: int, broken: dict[str, list[str]]) -> list[AuditFinding]:
 
 
 def _quantisation(all_signals: Sequence[Signal], kind: str) -> dict[str, tuple[str, float, str]]:
-    """By column its name, step and unit.
+    """Return by column its name, step of quantisation and unit.
 
     The step is the median over the trials in which a lattice shows, if that is most of them.
     """

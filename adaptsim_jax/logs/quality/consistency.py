@@ -180,8 +180,8 @@ class Jitter:
 
 
 def jitter(trials: Sequence[tuple[np.ndarray, np.ndarray]]) -> Jitter | None:
-    """Of trials (time [T] s, q [T, n], NaN where missing); None where stamps are even, or right, or
-    where that cannot be told.
+    """Estimate the jitter of stamps of trials (time [T] s, q [T, n], NaN where missing); None where
+    stamps are even, or right, or where that cannot be told.
     """
     evens = [e for time, _ in trials if (e := even_times(time)) is not None]
     if len(evens) < len(trials):

@@ -203,7 +203,7 @@ def _is_moving(motion: BlockMeans) -> bool:
 def hypotheses_of(
     words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()
 ) -> list[Hypothesis]:
-    """Those of the columns, for `n` joints; `chain`, `zeros`: see `contradiction`."""
+    """Make the hypotheses of the columns, for `n` joints; `chain`, `zeros`: see `contradiction`."""
     n = len(words.joints)
     torques = ", ".join(words.tau)
     pairs = combinations(range(n), 2) if n <= CONTRADICTION.max_swapped_joints else ()
@@ -323,8 +323,8 @@ class Late:
 
 
 def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
-    """By how much the torque is out of step with the motion, all joints alike; None where it is
-    not, or where that cannot be told.
+    """Estimate by how much the torque is out of step with the motion, all joints alike; None where
+    it is not, or where that cannot be told.
     """
     motion = motion_of(tracks)
     if len(motion.q) < BLOCK.min_blocks or not _is_moving(motion):

@@ -106,7 +106,7 @@ def sentences(differ: TrialDifferences, channels: Words) -> list[str]:
 
 
 def _names(kind: str, channels: Words) -> tuple[str, ...]:
-    """Of the numbers of a kind."""
+    """Return the names of the numbers of a kind."""
     if kind == "load":
         return ("share",)
     return channels.q if kind == "zero" else channels.tau

@@ -34,11 +34,11 @@ class LawFit:
     free: tuple[str, ...]
 
     def of(self, law: ServoLaw) -> "LawFit":
-        """With other numbers."""
+        """Return the fit with other numbers."""
         return LawFit(law, self.free)
 
     def and_free(self, name: str) -> "LawFit":
-        """With one more coordinate."""
+        """Return the fit with one more coordinate."""
         return self if name in self.free else LawFit(self.law, (*self.free, name))
 
 
@@ -60,7 +60,7 @@ class LinearModel:
         return hess, np.einsum("pra,pr->pa", weighted, self.error)
 
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of all pieces, with the pull."""
+        """Sum the normal equations of all pieces, with the pull."""
         hess, slope = (z.sum(0) for z in self.by_piece())
         return hess + self.prior[0], slope + self.prior[1]
 

@@ -328,7 +328,7 @@ def _begin_fit(problem: JointProblem, sharp: float) -> LawFit:
 
 
 def _grow_laws(recording, problems, moving_joints, fits, shared, notify):
-    """With numbers that all joints share and numbers of one, while left-out pieces improve."""
+    """Add numbers that all joints share and numbers of one, while left-out pieces improve."""
     names = [n for n in allowed_by_all(recording) if n not in shared]
     if any(n in DELAY_NAMES for n in shared):
         names = [n for n in names if n not in DELAY_NAMES]
@@ -355,7 +355,7 @@ def _grow_laws(recording, problems, moving_joints, fits, shared, notify):
 
 
 def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawFit:
-    """With numbers of this joint alone, while left-out pieces improve."""
+    """Add numbers of this joint alone, while left-out pieces improve."""
     for _ in range(CLOSED_LOOP.own):
         for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
             new = fit_law(problem, start, 8)
@@ -408,8 +408,8 @@ def _remove_refuted(
     notify: Callable[[str], None],
     keep_model: Callable[[PolishedLaws, Sequence[LawMember]], None],
 ) -> tuple[PolishedLaws, tuple[LawMember, ...]]:
-    """Without what whole trials do not bear out beside all else, and what stays. seen: called with
-    each model and its members.
+    """Remove what whole trials do not bear out beside all else; returns also what stays. seen:
+    called with each model and its members.
     """
     while True:
         notify("whole trials, each number returned to the file's")
@@ -446,7 +446,7 @@ def _not_followed_better(
 
 
 def _weakest_by_joint(members: Sequence[LawMember]) -> list[LawMember]:
-    """Of each joint the weakest."""
+    """Return the weakest member of each joint."""
     best: dict[int, LawMember] = {}
     for m in members:
         joint = m.coordinates[0][0]

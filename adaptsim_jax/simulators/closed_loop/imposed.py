@@ -79,8 +79,8 @@ class JointProblem:
 
     @property
     def ends(self) -> np.ndarray:
-        """Where the joint stops [2], rad: the ends of a range that the motion comes to, or beyond
-        them how far it came; infinite elsewhere.
+        """Positions where the joint stops [2], rad: the ends of a range that the motion comes to,
+        or beyond them how far it came; infinite elsewhere.
         """
         measured = np.asarray(self.lanes.measured)[np.asarray(self.lanes.counted) > 0]
         lowest, highest, (low, high) = measured.min(), measured.max(), self.servo.ends
@@ -98,7 +98,7 @@ class JointProblem:
         return np.maximum(np.asarray(self.lanes.counted).sum(1), 1)
 
     def only(self, which: np.ndarray) -> "JointProblem":
-        """Of some pieces alone, each left out by itself."""
+        """Return the problem of some pieces alone, each left out by itself."""
         lane = self.lanes
         chosen = Lanes(
             lane.tables[..., which],
@@ -206,11 +206,11 @@ class Recording:
 
     @property
     def whole_step(self) -> float:
-        """Of the simulation of whole trials, s."""
+        """Step of the simulation of whole trials, s."""
         return float(self.model.opt.timestep)
 
     def restepped(self, times: float) -> "Recording":
-        """The same, whole trials in steps so many times as long."""
+        """Return the recording with whole trials in steps so many times as long."""
         model = copy.copy(self.model)
         model.opt.timestep = times * self.whole_step
         return replace(self, model=model)

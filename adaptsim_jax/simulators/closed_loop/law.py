@@ -128,7 +128,7 @@ class Servo:
         return self.allowed("scale", "damping", "rub")
 
     def allowed(self, *names: str) -> tuple[str, ...]:
-        """Of some numbers those that may be fitted."""
+        """Return those of some numbers that may be fitted."""
         return tuple(n for n in names if n not in self.excluded)
 
 
@@ -346,7 +346,7 @@ def clip_law(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...])
 
 
 def inner_damping(servo: Servo, damping: Any) -> Any:
-    """Of a damping the part that is the controller's: what is beyond the joint's own."""
+    """Return the part of a damping that is the controller's: what is beyond the joint's own."""
     return damping - np.minimum(servo.passive, damping)
 
 

@@ -319,7 +319,7 @@ def _with_base_values(
 
 
 def _distance(trials: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
-    """By how many units of its coordinate a number was moved."""
+    """Return by how many units of its coordinate a number was moved."""
     j, name = max(at[0], 0), at[1]
     law, new_law, p = model.fits[j].law, new.fits[j].law, trials.problems[j]
     stiffness = "damping" if p.servo.follows_speed else "kp"

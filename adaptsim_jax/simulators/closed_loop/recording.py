@@ -44,7 +44,9 @@ def recording_of(source: Source, log: Log) -> Recording | None:
 
 
 def _with_file_delays(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:
-    """With the delays of the file's actuators, which are simulated as those that are fitted."""
+    """Put the delays of the file's actuators into the laws, which are simulated as those that are
+    fitted.
+    """
     delay = {
         source.model.actuator(k).name: float(z) for k, z in enumerate(source.model.actuator_delay)
     }

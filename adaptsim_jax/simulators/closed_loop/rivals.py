@@ -43,7 +43,7 @@ RIVALS = (
 
 
 def with_mass(recording: Recording, model: FittedServos) -> FittedServos:
-    """With a mass at the hand free as well, and its place: pieces of single joints take it for
+    """Free a mass at the hand as well, and its place: pieces of single joints take it for
     other scales.
     """
     has_payload = "payload" in allowed_by_all(recording) and "lift" not in model.shared
@@ -77,7 +77,7 @@ def or_rival(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLa
 
 
 def or_other_friction(trials: WholeTrials, polished: PolishedLaws) -> PolishedLaws:
-    """With dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
+    """Take dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
     once all else is fitted with it.
     """
     if not any(law.rub for law in polished.model.laws):
@@ -90,7 +90,7 @@ def or_other_friction(trials: WholeTrials, polished: PolishedLaws) -> PolishedLa
 
 
 def or_plain(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
-    """Without gravity fed forward and what single joints were given beside their law, where a mass
+    """Drop gravity fed forward and what single joints were given beside their law, where a mass
     at the hand does as well: pieces of single joints do not know of it.
     """
     model = polished.model
@@ -110,7 +110,7 @@ def or_plain(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLa
 def or_stepped(
     trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
 ) -> PolishedLaws:
-    """Without any rotor, where damping that acts at another time in a step does as well."""
+    """Drop all rotors, where damping that acts at another time in a step does as well."""
     rotors = [(j, "rotor") for j, f in enumerate(polished.model.fits) if "rotor" in f.free]
     if not rotors:
         return polished
@@ -156,7 +156,7 @@ def or_heavier(
 def or_files_gain(
     trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
 ) -> PolishedLaws:
-    """With the file's kp where motion is cut by a limit, which hardly shows kp: where that leaves
+    """Take the file's kp where motion is cut by a limit, which hardly shows kp: where that leaves
     less, all else as it was and fitted from there.
     """
     limited_joints = [

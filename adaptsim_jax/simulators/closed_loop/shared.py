@@ -195,7 +195,9 @@ def _weighted_median(values: Sequence[float], weight: Sequence[float]) -> float:
 def likely_shared(
     problems: Sequence[JointProblem], fits: Sequence[LawFit], names: Sequence[str]
 ) -> list[tuple[str, float]]:
-    """Of shared numbers the likeliest three, each with its step, by one step of all joints."""
+    """Return the likeliest three of shared numbers, each with its step, by one step of all
+    joints.
+    """
 
     def joint_terms(row):
         problem, fit = row

@@ -38,7 +38,7 @@ def half_step_damping(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
 
 
 def target_delay(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
-    """By how much a target is to be late, s, so that a step is right to second order."""
+    """Return by how much a target is to be late, s, so that a step is right to second order."""
     return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
 
 

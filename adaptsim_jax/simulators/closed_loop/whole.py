@@ -78,7 +78,7 @@ def simulate(
 
 
 def _extrapolate(fine: TrialMotion, coarse: TrialMotion) -> TrialMotion:
-    """To a step of 0; as `fine` where the coarse motion blew up."""
+    """Extrapolate motion to a step of 0; `fine` where the coarse motion blew up."""
     changes = (np.nan_to_num(f - c) for f, c in ((fine.q, coarse.q), (fine.v, coarse.v)))
     dq, dv = changes
     return TrialMotion(fine.q + dq, fine.v + dv, fine.a)
@@ -87,7 +87,7 @@ def _extrapolate(fine: TrialMotion, coarse: TrialMotion) -> TrialMotion:
 def simulate_once(
     recording: Recording, machines: Sequence[Sequence[ServoLaw]]
 ) -> list[list[TrialMotion]]:
-    """The same in steps of the recording's model alone."""
+    """Simulate in steps of the recording's model alone."""
     out: list[list[TrialMotion]] = []
     for first in range(0, len(machines), LANES):
         batch = machines[first : first + LANES]

@@ -53,7 +53,7 @@ class SteppedModel:
     sensors: tuple[Reading, ...] = ()
 
     def with_model(self, model: mujoco.MjModel) -> "SteppedModel":
-        """The same with other numbers in the model."""
+        """Return a copy with another model."""
         return replace(self, model=model)
 
 
@@ -133,7 +133,7 @@ def make_stepped_model(
 
 
 def _free_equalities(spec: mujoco.MjSpec, source: Source) -> None:
-    """Where the file disables its equalities, they are off one by one, and the flag is free for
+    """Switch equalities off one by one where the file disables all, so that the flag is free for
     those that hold joints.
     """
     bits, flags = mujoco.mjtDisableBit, spec.option.disableflags

@@ -28,7 +28,7 @@ DIRECTIONS = np.arange(8) * np.pi / 4
 
 
 def contact_rows(stepped_model: SteppedModel) -> Iterable[Effect]:
-    """Where anything may touch the world, and where the base moves."""
+    """Make the effects that show where anything may touch the world, and where the base moves."""
     model = stepped_model.model
     solid = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
     touch = [int(g) for g in np.flatnonzero((model.geom_bodyid > 0) & solid)]

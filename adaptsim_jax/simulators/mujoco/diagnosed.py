@@ -134,7 +134,9 @@ class MujocoSimulator:
 
 
 def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
-    """Of a model file over a recording. Raises BadInput as reading and cutting do."""
+    """Make the simulator of a model file over a recording. Raises BadInput as reading and cutting
+    do.
+    """
     stepped_model = make_stepped_model(source, log)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
     effects = [
@@ -293,7 +295,7 @@ def diagnose(
 
 
 def with_half_step(simulator: MujocoSimulator) -> MujocoSimulator:
-    """The same stepped twice as often; each command acts as long as before."""
+    """Return a copy that is stepped twice as often; each command acts as long as before."""
     model = simulator.stepped_model.model.__copy__()
     model.opt.timestep *= 0.5
     stretches = simulator.mujoco_stretches

@@ -98,7 +98,7 @@ class ModelNumber(Quantity):
         return self.scale / CANDIDATE.size
 
     def by(self, step: float) -> "ModelNumber":
-        """The same with another step."""
+        """Return a copy with another step."""
         return replace(self, prior=CANDIDATE.prior_width * step, scale=CANDIDATE.size * step)
 
 

@@ -36,7 +36,7 @@ class FileFit:
     code: str
 
     def as_dict(self) -> dict[str, dict[str, float]]:
-        """By name: value, low, high, file."""
+        """Return value, low, high and the file's value by name."""
         fitted = zip(self.fields, self.value, self.low, self.high, strict=True)
         return {
             f.name: {"value": float(v), "low": float(a), "high": float(b), "file": f.default}

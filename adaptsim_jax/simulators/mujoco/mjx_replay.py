@@ -20,8 +20,8 @@ STRETCHES = 24  # a median needs no more, and MJX steps slowly on a CPU
 
 
 def mjx_errors(source: Source, log: Log, horizon: float) -> np.ndarray:
-    """rms over time [W, n] rad or m by stretch and joint of the log, for logs without a moving base
-    or sensors.
+    """Compute the RMS error over time [W, n] rad or m by stretch and joint of the log, for logs
+    without a moving base or sensors.
     """
     stepped_model = make_stepped_model(source, log)
     span = min(horizon, max(t.span for t in log.trials))

@@ -80,7 +80,7 @@ def _predict(
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file. They
+    """Silence MuJoCo's warnings of runs that blow up, which it prints and writes into a file. They
     are seen in the numbers.
     """
     before = mujoco.get_mju_user_warning()

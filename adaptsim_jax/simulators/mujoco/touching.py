@@ -9,7 +9,7 @@ from adaptsim_jax.simulators.mujoco.criteria import REMARK
 
 
 def touching(stepped_model: SteppedModel, log: Log) -> str:
-    """In words which bodies touch, and in how many of the recorded poses; '' where hardly any
+    """Say which bodies touch, and in how many of the recorded poses; '' where hardly any
     do.
     """
     model = stepped_model.model
