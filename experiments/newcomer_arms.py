@@ -22,9 +22,9 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import read_source
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
-from adaptsim_jax.simulators.closed_loop.law import with_model
+from adaptsim_jax.simulators.closed_loop.law import put_law
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
-from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
+from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 from experiments.servo_law_worlds import (
     ARMS,
     FINE,
@@ -64,7 +64,7 @@ def written(folder: Path, path: Path, arm: str, seed: int) -> dict:
     way = way if np.linalg.norm(way) > 0.01 else model.jnt_axis[model.body_jntadr[hand]]
     real = heavier(model, hand, mass, model.body_ipos[hand] + TOOL * way / np.linalg.norm(way))
     for s, law in zip(servos, laws, strict=True):
-        with_model(s, real, law)
+        put_law(s, real, law)
     real.opt.timestep, real.opt.integrator = FINE, IMPLICIT
     shutil.rmtree(folder, ignore_errors=True)
     (folder / "val").mkdir(parents=True)
@@ -97,7 +97,7 @@ def recorded_in(model: Path, data: Path) -> Recording:
 
 def left_of(recording: Recording) -> np.ndarray:
     """RMS errors [n] rad of whole trials."""
-    (path,) = simulated(recording, [[s.law for s in recording.servos]])
+    (path,) = simulate(recording, [[s.law for s in recording.servos]])
     return np.sqrt(np.square(trial_errors(recording, path)).mean(0))
 
 

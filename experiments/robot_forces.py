@@ -103,7 +103,7 @@ def main() -> None:
         pairs = zip(of_tree(made, q, v, told), of_mujoco(made, q, v, ctrl), strict=True)
         off = [float(np.abs(a - b).max() / max(np.abs(b).max(), 1e-6)) for a, b in pairs]
         same, total = same + (max(off) < SAME), total + 1
-        beyond = "; ".join((*made.beyond, *made.drives_beyond)[:2])
+        beyond = "; ".join((*made.unsupported, *made.unsupported_drives)[:2])
         print(
             f"{path.stem}: {made.tree.n} joints, mass {off[0]:.0e}, bias {off[1]:.0e}, applied "
             f"{off[2]:.0e} {beyond}",

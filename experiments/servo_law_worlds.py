@@ -20,7 +20,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.simulators.closed_loop.imposed import heavier
-from adaptsim_jax.simulators.closed_loop.law import Servo, ServoLaw, servos_of, with_model
+from adaptsim_jax.simulators.closed_loop.law import Servo, ServoLaw, put_law, servos_of
 from experiments.robot_worlds import welded
 
 FINE = 2e-4  # s
@@ -188,7 +188,7 @@ def truth(world: World, model, servos, pose, rng) -> tuple[list[ServoLaw], mujoc
     else:
         real = heavier(model, hand, 0.0)
     for s, law in zip(servos, laws, strict=True):
-        with_model(s, real, law)
+        put_law(s, real, law)
     real.opt.timestep, real.opt.integrator = FINE, IMPLICIT
     return laws, real, hand
 

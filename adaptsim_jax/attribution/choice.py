@@ -13,7 +13,7 @@ from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import Source
-from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
 from adaptsim_jax.simulators.mujoco.replay import replayed
 from adaptsim_jax.simulators.mujoco.touching import touching
 
@@ -89,8 +89,10 @@ def _needs(source: Source, log: Log) -> str:
         mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
     except BadInput as error:  # nothing of a tree is left, or too much of it
         return str(error).removeprefix(f"{source.path}: ").split(";")[0]
-    beyond = mechanism.beyond + (mechanism.drives_beyond if log.input_kind == "command" else ())
-    return "; ".join(beyond[:2]) or touching(stepped(source, log), log)
+    beyond = mechanism.unsupported + (
+        mechanism.unsupported_drives if log.input_kind == "command" else ()
+    )
+    return "; ".join(beyond[:2]) or touching(make_stepped_model(source, log), log)
 
 
 def base_moves(log: Log) -> bool:

@@ -40,14 +40,14 @@ from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.identified import (
     LawMember,
     ServoLaws,
-    identified,
+    identify_servos,
     scale_spread,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
 from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
 from adaptsim_jax.simulators.closed_loop.polish import SHARED_BY_ALL
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
-from adaptsim_jax.simulators.closed_loop.whole import simulated
+from adaptsim_jax.simulators.closed_loop.whole import simulate
 
 LIFT = "gravity_compensation"
 NAMES = {
@@ -175,7 +175,7 @@ def diagnosed(
 
     unknown = np.full(len(servos), np.inf)
     recording = replace(recording, servos=servos)
-    found = identified(recording, notify, lambda laws: keep(of(laws, unknown)))
+    found = identify_servos(recording, notify, lambda laws: keep(of(laws, unknown)))
     left = found.over_noise.max() > CLOSED_LOOP.lacks_nothing
     if left and not found.members and len(servos) <= few:
         return None
@@ -577,7 +577,7 @@ def _curves(d: ServoDiagnosis) -> list[dict[str, Any]]:
     """Measured angles and those of whole trials, before and after."""
     recording = d.recording
     file = [s.law for s in recording.servos]
-    paths = dict(zip(("before", "after"), simulated(recording, [file, d.found.laws]), strict=True))
+    paths = dict(zip(("before", "after"), simulate(recording, [file, d.found.laws]), strict=True))
     out = []
     for k, t in enumerate(recording.trials):
         entry: dict[str, Any] = {

@@ -1,5 +1,5 @@
 """Commands that the motion contradicts (`logs.quality.commands`): exchanged between joints, cut on
-their way to the drive, or with another gain in some trials. Told with what to write; never taken.
+their way to the drive, or with another gain in some trials. Reported with the mend; never applied.
 """
 
 import numpy as np
@@ -8,12 +8,12 @@ from adaptsim_jax.attribution.criteria import TEXT
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.quality.commands import (
-    Cut,
-    against,
-    cut,
-    exchanged,
+    TargetLimit,
+    detect_target_limit,
+    find_exchanged,
     gains_by_trial,
     other_unit,
+    pulls_away,
 )
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.logs.quality.findings import AuditFinding
@@ -33,13 +33,15 @@ def check_commands(machine: Machine) -> tuple[AuditFinding, ...]:
     found = []
     for j in driven:
         stiff, damped = -machine.actuator[2, j], -machine.actuator[3, j]
-        if stiff > 0 and against(tracks, j):
+        if stiff > 0 and pulls_away(tracks, j):
             name = machine.tree.joint_names[j]
             raise BadInput(
                 f"{machine.log.path}: the targets of {name} count against its angles, which go the "
                 f"other way; write target_{name} = -1 under [units] in meta.toml; {AS_DECLARED}"
             )
-        if stiff > 0 and (limited := cut(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])):
+        if stiff > 0 and (
+            limited := detect_target_limit(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])
+        ):
             raise BadInput(
                 f"{machine.log.path}: "
                 f"{_cut(machine.tree.joint_names[j], limited, machine.tree.unit(j))}; {AS_DECLARED}"
@@ -70,7 +72,7 @@ def _check_units(machine: Machine) -> None:
 
 
 def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> None:
-    swapped = exchanged(tracks, driven)
+    swapped = find_exchanged(tracks, driven)
     if swapped is None:
         return
     names, log = machine.tree.joint_names, machine.log
@@ -80,7 +82,7 @@ def _check_order(machine: Machine, tracks: list[Track], driven: list[int]) -> No
             np.mean(
                 [
                     np.log(a / max(b, 1e-6))
-                    for a, b in zip(swapped.left, swapped.other, strict=True)
+                    for a, b in zip(swapped.share_as_declared, swapped.share_otherwise, strict=True)
                     if a != b
                 ]
             )
@@ -112,9 +114,9 @@ def _columns(machine: Machine, joint: int) -> tuple[str, str]:
     return f"ctrl_{name}", f"ctrl_{name}"
 
 
-def _cut(joint: str, limit: Cut, unit: str) -> str:
+def _cut(joint: str, limit: TargetLimit, unit: str) -> str:
     size = float(f"{limit.size:.3g}")
-    if limit.how == "rate":
+    if limit.kind == "rate":
         phrase, line = (
             f"by a rate limit of about {size:g} {unit}/s",
             f"rate = {{{joint} = {size:g}}}",
@@ -126,9 +128,10 @@ def _cut(joint: str, limit: Cut, unit: str) -> str:
         )
     return (
         f"the targets of {joint} are not what acted: it moves as if they were cut {phrase} on "
-        f"their way (of its acceleration {100 * limit.left:.0f} % is unexplained as recorded, "
-        f"{100 * limit.other:.2g} % so); log what was sent, or write {line} under [commands] in "
-        "meta.toml"
+        f"their way (of its acceleration {100 * limit.share_as_declared:.0f} % is unexplained as "
+        "recorded, "
+        f"{100 * limit.share_otherwise:.2g} % so); log what was sent, or write {line} under "
+        "[commands] in meta.toml"
     )
 
 

@@ -35,7 +35,7 @@ from adaptsim_jax.logs.quality.hypotheses import (
     motion_of,
 )
 from adaptsim_jax.logs.quality.order import check_order
-from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.logs.quality.trials_differ import TrialDifferences, trials_differ
 from adaptsim_jax.mechanisms.dynamics import compensation
 from adaptsim_jax.mechanisms.equations import regressor
 from adaptsim_jax.mechanisms.tree import Tree
@@ -55,7 +55,7 @@ def of_machine(machine: Machine) -> tuple[list[Track], Design] | None:
     if any(not np.all(np.isfinite(t.q)) for t in machine.tracks):
         return None
     if machine.log.input_kind == "command" and (
-        np.any(machine.actuator[2:4]) or machine.mechanism.drives_beyond
+        np.any(machine.actuator[2:4]) or machine.mechanism.unsupported_drives
     ):
         return (
             None  # a servo's force is of the angles themselves, and that of a muscle is not known
@@ -69,7 +69,7 @@ def check_conventions(machine: Machine) -> tuple[AuditFinding, ...]:
     """
     tree, log = machine.tree, machine.log
     program = _program(tree.n)
-    if log.input_kind == "command" and not machine.mechanism.drives_beyond:
+    if log.input_kind == "command" and not machine.mechanism.unsupported_drives:
         driven = [bool(gain) for gain in machine.actuator[0]]
         _check_order(machine, _design(tree, program), driven, ("q", "target"))
     warnings = check_commands(machine)
@@ -139,19 +139,19 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[A
     """
     motion = motion_of(tracks)
     if (
-        len(motion.q) < BLOCK.enough or not np.ptp(motion.tau, axis=0).any()
+        len(motion.q) < BLOCK.min_blocks or not np.ptp(motion.tau, axis=0).any()
     ):  # a free swing says nothing of the torques' unit
         return ()
     if asked := amperes(machine, tracks, declared):
         return asked
     found = linear_fit(motion, declared, first=machine.tree.n)
     if (
-        found.left > CONTRADICTION.doubted
-        or 1.0 / CONTRADICTION.same_size < found.scale < CONTRADICTION.same_size
+        found.unexplained_share > CONTRADICTION.min_doubted_share
+        or 1.0 / CONTRADICTION.max_torque_ratio < found.scale < CONTRADICTION.max_torque_ratio
     ):
         return ()
     near = min(UNITS, key=lambda u: abs(np.log(found.scale / u)))
-    if 1.0 / CONTRADICTION.same_size < found.scale / near < CONTRADICTION.same_size:
+    if 1.0 / CONTRADICTION.max_torque_ratio < found.scale / near < CONTRADICTION.max_torque_ratio:
         unit = f" ({UNITS[near]}?)"
     else:
         unit = ""
@@ -159,7 +159,7 @@ def _weighed(machine: Machine, tracks: list[Track], declared: Design) -> tuple[A
     times = f"{size} times those that the masses of {machine.mechanism.path} need"
     phrase = f"the torques that make this motion are {times}{unit}"
     mend = f"write masses in kg and torques in N m, or {_torque_unit(machine, found.scale)}"
-    if angle := _angle_unit(machine, motion, declared, found.left):
+    if angle := _angle_unit(machine, motion, declared, found.unexplained_share):
         phrase = f"{phrase}; they are of the right size if the angles are in {angle[0]}"
         keys = [key for key, unit in machine.log.meta.units.items() if unit in ("deg", "rad")] or [
             "angle"
@@ -209,14 +209,14 @@ def _angle_unit(
             first=machine.tree.n,
         )
         if (
-            other.left <= CONVENTION.same_share * left + CONVENTION.same_added
-            and 1.0 / CONTRADICTION.same_size < other.scale < CONTRADICTION.same_size
+            other.unexplained_share <= CONVENTION.same_share * left + CONVENTION.same_added
+            and 1.0 / CONTRADICTION.max_torque_ratio < other.scale < CONTRADICTION.max_torque_ratio
         ):
             return words, unit
     return None
 
 
-def mechanism_trials(machine: Machine) -> Differ | None:
+def mechanism_trials(machine: Machine) -> TrialDifferences | None:
     """See `trials_differ.trials_differ`; of a machine whose input is a torque by now
     (`diagnose.scaled`).
     """
@@ -268,7 +268,7 @@ def _design(tree: Tree, program) -> Design:
         k, n = m.q.shape
 
         def fill(x):
-            return np.concatenate([x, np.zeros((BLOCK.most - k, n))]).T
+            return np.concatenate([x, np.zeros((BLOCK.max_blocks - k, n))]).T
 
         pull = np.asarray(tree.gravity) * (1.0 if gravity else 0.0)
         table = np.asarray(program(tree, fill(m.q), fill(m.v), fill(m.a), pull))[:, :, :k].reshape(

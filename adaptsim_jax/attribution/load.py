@@ -14,7 +14,7 @@ from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import joined, read_source_and_log
 from adaptsim_jax.mend.model_toml import read_model_table
-from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
 from adaptsim_jax.simulators.mujoco.touching import touching
 
 
@@ -75,7 +75,7 @@ def _joined(data: str | Path, model: str | Path | None) -> Machine:
     if turns_of_balls(source, log):
         contact = ""
     else:
-        contact = touching(stepped(source, log), log)
+        contact = touching(make_stepped_model(source, log), log)
     if contact:
         return replace(made, beyond=(*made.beyond, contact))
     return made

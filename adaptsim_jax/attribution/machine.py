@@ -10,7 +10,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, beyond_range, prepare
 from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
-from adaptsim_jax.logs.log import Log, check_left_out
+from adaptsim_jax.logs.log import Log, check_excluded
 from adaptsim_jax.mechanisms.mjcf import Mechanism
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.mechanisms.transmission import Actuator
@@ -95,7 +95,7 @@ class Machine:
 
     def without(self, names: Sequence[str]) -> "Machine":
         """Without these trials. Raises BadInput where one is not there, or none is left."""
-        check_left_out(self.log.path, sorted(t.name for t in self.tracks), names)
+        check_excluded(self.log.path, sorted(t.name for t in self.tracks), names)
         return replace(self, tracks=tuple(t for t in self.tracks if t.name not in set(names)))
 
 
@@ -128,8 +128,8 @@ def machine(mechanism: Mechanism, log: Log) -> Machine:
             delays[a.joint], lags[a.joint] = a.delay, a.lag
     declared = {(DELAY.name, "delay"): delays, (ACTUATOR_LAG.name, "lag"): lags}
     beyond = (
-        mechanism.beyond
-        + (mechanism.drives_beyond if commanded else ())
+        mechanism.unsupported
+        + (mechanism.unsupported_drives if commanded else ())
         + drives.beyond
         + _out_of_range(mechanism.tree, tracks)
     )

@@ -31,7 +31,7 @@ from adaptsim_jax.core import config
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
-from adaptsim_jax.mechanisms.tree import compensated
+from adaptsim_jax.mechanisms.tree import with_compensation
 from adaptsim_jax.mend.model_toml import (
     AddedEffect,
     Form,
@@ -73,7 +73,7 @@ def form_of(
     own: dict[str, Any] = dict(more or {})
     if any(g.model.tree.linear for g in problem.groups):
         own["linear"] = True
-    if any(np.any(g.model.tree.rub) for g in problem.groups):
+    if any(np.any(g.model.tree.friction_softness) for g in problem.groups):
         own["friction"] = GIVES
     own["inertial"] = {}
     for g in problem.groups:
@@ -154,7 +154,7 @@ def of_form(form: Form, machine: Machine, effects: Sequence[Effect] = MACHINE) -
             column[joints.index(joint)] = numbers[p.name]
             out[name, p.name] = column
     if "lift" in form.own:
-        tree = compensated(tree, number_at(path, "lift", form.own["lift"]))
+        tree = with_compensation(tree, number_at(path, "lift", form.own["lift"]))
     linear = bool(form.own.get("linear", tree.linear))
     tree = replace(with_inertial(tree, inertial), gravity=gravity, linear=linear)
     mechanism = replace(machine.mechanism, tree=tree)

@@ -54,7 +54,7 @@ def check_pace(machine: Machine, tracks: list[Track], design: Design) -> tuple[A
         f"machine in {step / factor:.3g} s from row to row, not in {step:.3g} s{counted}"
     )
     mend = f"write {line} under [units] in meta.toml (seconds a unit), or mend the stamps"
-    if as_is > PACE.better_than_rotors * left and as_is > CONTRADICTION.doubted:
+    if as_is > PACE.better_than_rotors * left and as_is > CONTRADICTION.min_doubted_share:
         raise BadInput(f"{machine.log.path}: {phrase}; {mend}; {AS_DECLARED}")
     if not all(t.path.endswith(".parquet") for t in machine.log.trials) or not even:
         return ()
@@ -69,7 +69,7 @@ def _paced(motion: BlockMeans, design: Design) -> tuple[float, float, float] | N
     """What another clock leaves, how many times slow this one runs by it, and what rotors leave in
     its place.
     """
-    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < BLOCK.min_blocks or not np.all(np.isfinite(motion.a)):
         return None
     n = motion.q.shape[1]
     moving, weight = _parts(motion, design)
@@ -117,7 +117,7 @@ def _sharp(tracks: list[Track]) -> BlockMeans:
     """Short blocks of as many trials as a design takes: exact where motion is fast."""
     parts: list[tuple[np.ndarray, ...]] = []
     for track in tracks:
-        room = BLOCK.most - sum(len(p[0]) for p in parts)
+        room = BLOCK.max_blocks - sum(len(p[0]) for p in parts)
         parts.append(tuple(x[:room] for x in blocks(track, sharp=True)[:4]))
     return BlockMeans(*(np.concatenate([p[k] for p in parts]) for k in range(4)))
 
@@ -126,7 +126,7 @@ def _smoothed(columns: np.ndarray) -> np.ndarray:
     """Both sides of an equation `[K, P]` over some blocks: the same equation, with less of the
     sensors' noise.
     """
-    mean = np.ones(COMMAND.smooth) / COMMAND.smooth
+    mean = np.ones(COMMAND.n_smoothed_blocks) / COMMAND.n_smoothed_blocks
     return np.stack([np.convolve(c, mean, "valid") for c in columns.T], 1)
 
 
@@ -137,7 +137,7 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Audi
     if machine.log.input_kind != "torque":
         return ()
     motion = _sharp(tracks)
-    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)):
+    if len(motion.q) < BLOCK.min_blocks or not np.all(np.isfinite(motion.a)):
         return ()
     names = machine.tree.joint_names
     moving, weight = _parts(motion, design)
@@ -148,11 +148,12 @@ def amperes(machine: Machine, tracks: list[Track], design: Design) -> tuple[Audi
         columns = np.column_stack([motion.tau[:, j], -rubs, -motion.a[:, j]])
         whole = _smoothed(np.column_stack([moving[:, j] + weight[:, j], columns]))
         left, x = _left(whole[:, 0], whole[:, 1:])
-        if left > CONTRADICTION.doubted or x[0] <= 0:
+        if left > CONTRADICTION.min_doubted_share or x[0] <= 0:
             return ()
         need[j] = float(x[0])
     if len(need) < 2 or not all(
-        x > CONTRADICTION.same_size or x < 1.0 / CONTRADICTION.same_size for x in need.values()
+        x > CONTRADICTION.max_torque_ratio or x < 1.0 / CONTRADICTION.max_torque_ratio
+        for x in need.values()
     ):
         return ()
     if max(need.values()) < 1.5 * min(need.values()):
@@ -180,7 +181,7 @@ def held_fast(machine: Machine, tracks: list[Track], design: Design) -> tuple[Au
     motion = _sharp(tracks) if np.any(levels > 0) else None
     if (
         motion is None
-        or len(motion.q) < BLOCK.enough
+        or len(motion.q) < BLOCK.min_blocks
         or not np.all(np.isfinite(motion.a))
         or not np.ptp(motion.tau, axis=0).any()
     ):

@@ -53,12 +53,13 @@ def scheme(group: Group, at: Values, some: Values | None = None) -> Scheme:
         fastest = max(fastest, float(np.sqrt(both).max()), float((dashpot * both).max()))
         inertia = np.where(soft, np.maximum(rotor, MIN_INERTIA), inertia)
         giving = np.flatnonzero(soft)
-    ends = np.asarray(group.model.tree.stop)[limited(group.model.tree)]
+    ends = np.asarray(group.model.tree.stop_params)[limited(group.model.tree)]
     if len(ends):
         pull, drag = (np.asarray(z) for z in rates(ends))
         fastest = max(fastest, float(drag.max()), 2.0 * float(np.sqrt(pull).max()))
     fastest = max(
-        fastest, TURN_STEPS * float(np.asarray(group.model.tree.rub)[:, 0].max(initial=0.0))
+        fastest,
+        TURN_STEPS * float(np.asarray(group.model.tree.friction_softness)[:, 0].max(initial=0.0)),
     )
     swing = np.sqrt(stiffness / inertia) * 2.0
     need = row * max(float((damping / inertia).max()), float(swing.max()), fastest) / STABLE_STEP
@@ -114,7 +115,7 @@ def ease(group: Group, values: Values) -> np.ndarray:
     file does.
     """
     tree = group.model.tree
-    if not any(tree.limited) and not np.any(tree.rub):
+    if not any(tree.limited) and not np.any(tree.friction_softness):
         return np.ones((tree.n, 1))
     armature = values.effects.get(ARMATURE.name, {}).get("inertia", tree.armature[:, None])
     declared = inverse_weight(tree, tree.inertial[..., None], tree.armature[:, None])

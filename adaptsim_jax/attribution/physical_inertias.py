@@ -25,9 +25,9 @@ from adaptsim_jax.effects.joints.catalogue import ETA
 from adaptsim_jax.mechanisms.inertia_frames import (
     Frame,
     central,
+    compose,
     in_frame,
     inverse,
-    moved,
     six_of,
     symmetric_of,
 )
@@ -274,7 +274,7 @@ def _frame(tree, i: int, j: int) -> Frame | None:
     while i != j:
         if i < j:
             return None
-        frame = moved((np.asarray(tree.place)[i], np.asarray(tree.rotation)[i]), frame)
+        frame = compose((np.asarray(tree.place)[i], np.asarray(tree.rotation)[i]), frame)
         i = tree.parent[i]
     return frame
 

@@ -123,7 +123,7 @@ def prepare(
     """
     n = len(tree.joint_names)
     # sharp, as of real joints (`equation/rubbing.py`)
-    tree = replace(within_reach(tree, tracks), rub=np.zeros((n, 2)))
+    tree = replace(within_reach(tree, tracks), friction_softness=np.zeros((n, 2)))
     stretches = without_first_rows(cut(tracks, horizon, most), look_back)
     fold = folds_of(stretches.trial)
     names = names_of(stretches.trial, fold, stretches.names)
@@ -233,15 +233,15 @@ def beginnings(problem: TreeProblem, share: float) -> TreeProblem:
 def _nameless(tree: Tree) -> Tree:
     """The same with names that say nothing, so that four like legs share one compiled program."""
     count = range(len(tree.joint_names))
-    if tree.whole is None:
-        whole = None
+    if tree.all_joints is None:
+        all_joints = None
     else:
-        whole = replace(tree.whole, tree=_nameless(tree.whole.tree))
+        all_joints = replace(tree.all_joints, tree=_nameless(tree.all_joints.tree))
     return replace(
         tree,
         joint_names=tuple(f"j{k}" for k in count),
         body_names=tuple(f"b{k}" for k in count),
-        whole=whole,
+        all_joints=all_joints,
     )
 
 

@@ -310,7 +310,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         *_shorter(horizon, found.span, max(float(np.ptp(t.time)) for t in log.trials)),
         f"simulated by MuJoCo at the file's own step: {choice.why}",
     )
-    s, model, names = found.stretches, found.made.model, log.joint_names
+    s, model, names = found.stretches, found.stepped_model.model, log.joint_names
     slides = {
         model.joint(k).name
         for k in range(model.njnt)
@@ -318,7 +318,11 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
     }
     kinds = tuple("slide" if name in slides else "hinge" for name in names)
     n, error = len(names), found.error
-    measured, mask, simulated = s.measured[..., :n], s.seen[..., :n].astype(float), found.simulated
+    measured, mask, simulated = (
+        s.measured[..., :n],
+        s.is_measured[..., :n].astype(float),
+        found.simulated,
+    )
     if found.base is not None:
         base = np.median(found.base, 0)
         remarks = (
@@ -342,7 +346,7 @@ def by_mujoco(choice: Choice, horizon: float) -> Replay:
         simulated,
         mask,
         found.span,
-        (*remarks, *log.notes, *source.notes, *found.made.notes),
+        (*remarks, *log.notes, *source.notes, *found.stepped_model.notes),
         line,
         still,
     )

@@ -171,7 +171,7 @@ def soft_friction(
     """That a simulated log may be the reason why a little more is left, where friction is not
     simulated as soft as the file has it.
     """
-    if any(np.any(g.model.tree.rub) for g in problem.groups):
+    if any(np.any(g.model.tree.friction_softness) for g in problem.groups):
         return []
     if (
         not left

@@ -24,7 +24,7 @@ from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
 from adaptsim_jax.simulators.closed_loop.imposed import Recording
 from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
-from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
+from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 
 
 def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
@@ -131,5 +131,5 @@ def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
 
 
 def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[ServoLaw]) -> np.ndarray:
-    paths = simulated(recording, [laws])[0]
+    paths = simulate(recording, [laws])[0]
     return trial_errors(recording, paths) * d.found.whole.counted[:, None]

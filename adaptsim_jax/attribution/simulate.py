@@ -182,7 +182,7 @@ def _held(moving: SchemeEquations, model: ActingModel, values: Values, x, step: 
     ends = stops.limited(model.tree)
     still = jnp.zeros_like(v)
     # where friction gives (MuJoCo's): the share of a speed that it ends in a step
-    rate, softness = jnp.asarray(model.tree.rub).T[..., None]
+    rate, softness = jnp.asarray(model.tree.friction_softness).T[..., None]
     softness = softness * values.ease
     braked = jnp.where(softness > 0.0, jnp.minimum(safe[None] * rate, 1.0), 1.0)
 

@@ -50,10 +50,10 @@ def hold_within(tree: Tree, q: Any, v: Any) -> tuple[Any, Any, Any, Any]:
     [k, W] each.
     """
     at = limited(tree)
-    if isinstance(tree.stop, np.ndarray):
-        stop = jnp.asarray(np.asarray(tree.stop))[at]
+    if isinstance(tree.stop_params, np.ndarray):
+        stop = jnp.asarray(np.asarray(tree.stop_params))[at]
     else:
-        stop = tree.stop[at]
+        stop = tree.stop_params[at]
     low, high = tree.range[at, 0][:, None], tree.range[at, 1][:, None]
     q, v, stop = q[at], v[at], stop[:, None, :]
     above, below = q - high, low - q
@@ -70,8 +70,8 @@ def inverse_weight(tree: Tree, inertial, armature):
     """Of the coordinates at the file's zero [n, .], as if none followed another: what MuJoCo scales
     softness by. inertial [n, 10, .], armature [n, .].
     """
-    if tree.whole is not None:
-        own, every = np.array(tree.whole.own), tree.whole.tree
+    if tree.all_joints is not None:
+        own, every = np.array(tree.all_joints.own), tree.all_joints.tree
         more = armature - tree.armature[:, None]
         bodies = jnp.broadcast_to(
             every.inertial[..., None], (*every.inertial.shape, inertial.shape[-1])
@@ -93,7 +93,7 @@ def with_inertial(tree: Tree, inertial: np.ndarray) -> Tree:
             np.asarray(inverse_weight(tree, z[..., None], tree.armature[:, None]))
             for z in (np.asarray(inertial), np.asarray(tree.inertial))
         )
-    stop, rub = np.array(tree.stop, float), np.array(tree.rub, float)
+    stop, rub = np.array(tree.stop_params, float), np.array(tree.friction_softness, float)
     stop[:, 7:] *= now / before
     rub[:, 1:] *= now / before
-    return replace(tree, inertial=inertial, stop=stop, rub=rub)
+    return replace(tree, inertial=inertial, stop_params=stop, friction_softness=rub)

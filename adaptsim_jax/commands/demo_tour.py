@@ -252,8 +252,8 @@ def demo(
 ) -> DemoResult:
     """Run the tour into the folder `out`; returns what it found after writing `out/index.html`.
 
-    apart: the push and the scoop in a process beside this one, for two cores. Raises BadInput where
-    `out` cannot be written or holds runs of other sizes.
+    two_processes: whether the push and the scoop run in a process beside this one, for two cores.
+    Raises BadInput where `out` cannot be written or holds runs of other sizes.
     """
     from adaptsim_jax.report.demo_page import write_demo
 

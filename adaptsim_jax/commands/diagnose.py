@@ -43,11 +43,11 @@ def run(args: argparse.Namespace) -> int:
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         process.small_steps()
     named = args.simulator not in (None, "tree", "mujoco")
-    task = of_trials(data) if args.model is None and not named else None
+    task = trials_task(data) if args.model is None and not named else None
     if named:
         read = own_simulator
     elif task:
-        read = trials
+        read = diagnose_trials
     elif args.model is not None or of_a_mechanism(data):
         read = mechanism
     else:
@@ -84,7 +84,7 @@ def of_a_mechanism(data: Path) -> bool:
     return data.exists()
 
 
-def of_trials(data: Path) -> str | None:
+def trials_task(data: Path) -> str | None:
     """Which task of short trials DATA holds, a folder of them or a session of `adaptsim robot`;
     None where it is something else.
     """
@@ -144,7 +144,7 @@ def own_simulator(args: argparse.Namespace, without: list[str]) -> Judge:
     )
 
 
-def trials(args: argparse.Namespace, without: list[str]) -> Judge:
+def diagnose_trials(args: argparse.Namespace, without: list[str]) -> Judge:
     """Measured trials of a task: effects judged one by one, the mended model, and the trials that
     tell a class apart.
     """
@@ -152,7 +152,7 @@ def trials(args: argparse.Namespace, without: list[str]) -> Judge:
     from adaptsim_jax.tasks.registry import TRIALS
 
     data = Path(args.data)
-    kind = TRIALS[str(of_trials(data))]
+    kind = TRIALS[str(trials_task(data))]
     read = kind.read
     if (data / "robot.toml").exists():
         from adaptsim_jax.commands.robot_session import recorded_trials as read

@@ -123,13 +123,13 @@ def stands(session: RobotSession) -> Table:
 
     state, history = sessions.load(session)
     best = float(state.best_score)
-    reported = {
+    status = {
         "told": len(history),
         "of": session.loop.trials(state),
         "turn": session.kind.robot.turn,
     }
     last = history[-1]["score"] if history else None
-    return reported | {"last_return": last, "best_return": best if math.isfinite(best) else None}
+    return status | {"last_return": last, "best_return": best if math.isfinite(best) else None}
 
 
 def ask(args: argparse.Namespace, session: RobotSession) -> Table:

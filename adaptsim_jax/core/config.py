@@ -21,34 +21,34 @@ Table = dict[str, Any]
 """What a table of TOML, or an object of JSON, holds."""
 
 
-def nearest(name: str, known: typing.Iterable[str]) -> str | None:
+def nearest(name: str, valid: typing.Iterable[str]) -> str | None:
     """The known name that `name` is most like, upper and lower case alike, or the one that ends in
     it; None where none is.
     """
-    by_case = {other.lower(): other for other in known}
+    by_case = {other.lower(): other for other in valid}
     inside = [other for low, other in by_case.items() if low.endswith(f".{name.lower()}")]
     if len(inside) == 1:
         return inside[0]
-    near = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
-    if near:
-        return by_case[near[0]]
+    matches = difflib.get_close_matches(name.lower(), by_case, n=1, cutoff=0.6)
+    if matches:
+        return by_case[matches[0]]
     return None
 
 
-def suggest(name: str, known: typing.Iterable[str]) -> str:
+def suggest(name: str, valid: typing.Iterable[str]) -> str:
     """'did you mean ...?' or 'known: ...': the mend for a name that is not known."""
-    known = list(known)
-    near = nearest(name, known)
-    if near:
-        return f"did you mean '{near}'?"
-    return f"known: {', '.join(known) or 'none'}"
+    valid = list(valid)
+    similar = nearest(name, valid)
+    if similar:
+        return f"did you mean '{similar}'?"
+    return f"known: {', '.join(valid) or 'none'}"
 
 
-def pick(kind: str, name: str, known: typing.Iterable[str]) -> str:
+def pick(kind: str, name: str, valid: typing.Iterable[str]) -> str:
     """`name` if it is known, else BadInput with the nearest name."""
-    known = list(known)
-    if name not in known:
-        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, known)}")
+    valid = list(valid)
+    if name not in valid:
+        raise BadInput(f"unknown {kind} '{name}'; {suggest(name, valid)}")
     return name
 
 
@@ -173,10 +173,10 @@ def from_table(kind: type[T], table: dict[str, Any], where: str, prefix: str = "
     values = {}
     for name, needed in fields.items():
         if name in table:
-            given = table[name]
-            if _is_record(hints[name]) and isinstance(given, dict) and not needed:
-                given = over(_default(kind, name), given)
-            values[name] = _typed(hints[name], given, where, f"{prefix}{name}")
+            value = table[name]
+            if _is_record(hints[name]) and isinstance(value, dict) and not needed:
+                value = over(_default(kind, name), value)
+            values[name] = _typed(hints[name], value, where, f"{prefix}{name}")
         elif needed:
             raise BadInput(f"{where}: key '{prefix}{name}' is missing; add it")
     return kind(**values)
@@ -199,10 +199,10 @@ def _default(kind: Any, name: str) -> dict[str, Any]:
         return to_table(kind._field_defaults[name])
     field = next(f for f in dataclasses.fields(kind) if f.name == name)
     if field.default_factory is dataclasses.MISSING:
-        made = field.default
+        default = field.default
     else:
-        made = field.default_factory()
-    return to_table(made)
+        default = field.default_factory()
+    return to_table(default)
 
 
 def _typed(hint: Any, value: Any, where: str, key: str) -> Any:
@@ -322,14 +322,14 @@ def flatten(table: dict[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def differences(have: dict[str, Any], want: dict[str, Any]) -> list[str]:
+def differences(old: dict[str, Any], new: dict[str, Any]) -> list[str]:
     """'key: 3 there, 4 asked' for every key in which two config tables differ."""
-    a, b = flatten(have), flatten(want)
-    keys = sorted(a.keys() | b.keys())
+    flat_old, flat_new = flatten(old), flatten(new)
+    keys = sorted(flat_old.keys() | flat_new.keys())
     return [
-        f"{key}: {a.get(key, 'unset')} there, {b.get(key, 'unset')} asked"
+        f"{key}: {flat_old.get(key, 'unset')} there, {flat_new.get(key, 'unset')} asked"
         for key in keys
-        if a.get(key) != b.get(key)
+        if flat_old.get(key) != flat_new.get(key)
     ]
 
 

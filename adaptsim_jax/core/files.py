@@ -142,7 +142,7 @@ def one_writer(folder: str | os.PathLike, lock: str = LOCK, busy: str = BUSY) ->
     with output_errors(path):
         handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
-        if not _took(handle):
+        if not _takes_lock(handle):
             holder = os.read(handle, 200).decode().strip() or "another process"
             raise BadInput(f"{folder}: {busy.format(holder=holder)}")
         yield
@@ -150,7 +150,7 @@ def one_writer(folder: str | os.PathLike, lock: str = LOCK, busy: str = BUSY) ->
         os.close(handle)
 
 
-def _took(handle: int) -> bool:
+def _takes_lock(handle: int) -> bool:
     """Whether the lock is this process's now, whose name it then holds."""
     try:
         import fcntl

@@ -22,7 +22,9 @@ from typing import Any, TypeVar
 Given = TypeVar("Given")
 Made = TypeVar("Made")
 
-MOST = 4  # at once: each holds the covariances of a recording, and memory traffic is soon the bound
+MAX_WORKERS = (
+    4  # at once: each holds the covariances of a recording, and memory traffic is soon the bound
+)
 
 
 def cores() -> int:
@@ -32,9 +34,9 @@ def cores() -> int:
     return os.cpu_count() or 1
 
 
-def largest_divisor(most: int, *totals: int) -> int:
-    """The largest number up to `most` that divides all of `totals`; at least 1."""
-    return max(n for n in range(1, max(1, most) + 1) if all(total % n == 0 for total in totals))
+def largest_divisor(limit: int, *totals: int) -> int:
+    """The largest number up to `limit` that divides all of `totals`; at least 1."""
+    return max(n for n in range(1, max(1, limit) + 1) if all(total % n == 0 for total in totals))
 
 
 def parallel_map(call: Callable[[Given], Made], items: Iterable[Given]) -> list[Made]:
@@ -42,7 +44,7 @@ def parallel_map(call: Callable[[Given], Made], items: Iterable[Given]) -> list[
     is raised.
     """
     items = list(items)
-    workers = min(len(items), cores(), MOST)
+    workers = min(len(items), cores(), MAX_WORKERS)
     if workers < 2:
         return [call(item) for item in items]
     with ThreadPoolExecutor(workers) as pool:
@@ -78,11 +80,11 @@ class Worker:
                 kind, value = pipe.recv()
             except (EOFError, OSError):
                 self._process.join()
-                ended = (
+                message = (
                     f"a process of this command ended with code {self._process.exitcode}; run it "
                     "again"
                 )
-                self._answer.put((_FAILED, RuntimeError(ended)))
+                self._answer.put((_FAILED, RuntimeError(message)))
                 return
             if kind != _REPORTED:
                 self._answer.put((kind, value))
@@ -119,12 +121,12 @@ def _run(pipe: Any, work: Callable[..., Any], args: tuple[Any, ...]) -> None:
     except BrokenPipeError:  # nobody is there any more
         return
     except Exception as error:
-        answer = (_FAILED, _plain(error))
+        answer = (_FAILED, _picklable(error))
     pipe.send(answer)
 
 
-def _plain(error: Exception) -> Exception:
-    """The same, or its words where it cannot be sent."""
+def _picklable(error: Exception) -> Exception:
+    """Return the error, or its words in another where it cannot be sent."""
     import pickle
 
     try:

@@ -37,8 +37,8 @@ MIN_COMPILE_S = "0.2"
 
 
 def cache_folder() -> Path:
-    """Where compiled programs are: $ADAPTSIM_CACHE, $JAX_COMPILATION_CACHE_DIR, or the platform's
-    folder.
+    """Return the folder of compiled programs: $ADAPTSIM_CACHE, $JAX_COMPILATION_CACHE_DIR, or the
+    platform's folder.
     """
     for name in (CACHE_VARIABLE, "JAX_COMPILATION_CACHE_DIR"):
         if os.environ.get(name):
@@ -67,7 +67,7 @@ def _home() -> Path:
 
 
 def _expanded(path: Path) -> Path:
-    """Without `~`, which stays as it is where there is no home."""
+    """Expand `~`, which stays as it is where there is no home."""
     try:
         return path.expanduser()
     except RuntimeError:

@@ -244,14 +244,14 @@ def _seal(manifest: dict[str, Any]) -> str:
 _FILE = re.compile(r"(.+\.py):(\w+)")
 
 
-def _with_files(table: Any, named: Callable[[str], str]) -> Any:
-    """`table` with each `file.py:function` in it as `named(file.py)` has its file."""
+def _with_files(table: Any, renamed: Callable[[str], str]) -> Any:
+    """`table` with each `file.py:function` in it as `renamed(file.py)` has its file."""
     if isinstance(table, dict):
-        return {key: _with_files(value, named) for key, value in table.items()}
+        return {key: _with_files(value, renamed) for key, value in table.items()}
     if isinstance(table, list | tuple):
-        return [_with_files(value, named) for value in table]
-    found = _FILE.fullmatch(table) if isinstance(table, str) else None
-    return table if found is None else f"{os.path.normpath(named(found[1]))}:{found[2]}"
+        return [_with_files(value, renamed) for value in table]
+    match = _FILE.fullmatch(table) if isinstance(table, str) else None
+    return table if match is None else f"{os.path.normpath(renamed(match[1]))}:{match[2]}"
 
 
 def config_in(table: dict[str, Any], folder: Path) -> dict[str, Any]:
@@ -389,7 +389,7 @@ class RunFolder:
         """
         return self._whole(like)[1]
 
-    def _whole(self, like: Any) -> tuple[Path, tuple[Any, int]]:
+    def _last_whole(self, like: Any) -> tuple[Path, tuple[Any, int]]:
         """The folder of the last whole checkpoint, and its `(tree, step)`."""
         before = self.checkpoint / BEFORE
         try:
@@ -402,7 +402,7 @@ class RunFolder:
             print(f"{why}; the one before it is taken, of step {found[1]}", file=sys.stderr)
             return before, found
 
-    def _loaded(self, folder: Path, like: Any) -> tuple[Any, int]:
+    def _load(self, folder: Path, like: Any) -> tuple[Any, int]:
         if read_manifest(folder)["config_hash"] not in (self.config_hash, self._older):
             raise BadInput(
                 f"{self.path}: {CONFIG} was changed since the checkpoint was written; restore it"
@@ -410,8 +410,8 @@ class RunFolder:
         return load_checkpoint(folder, like, task=self.task)
 
     def restore(self, like: Any) -> tuple[Any, int]:
-        """As `load`, to continue: metrics written after the checkpoint are cut off, for they will
-        come again.
+        """Load as `load` does, to continue: metrics written after the checkpoint are cut off, for
+        they will come again.
 
         Without a checkpoint (killed before the first one) the metrics are emptied and `(like, 0)`
         comes back.

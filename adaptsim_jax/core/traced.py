@@ -30,10 +30,10 @@ def digest_of(function: Callable, *args: Any) -> str:
 
 def digest_of_arrays(tree: Any) -> str:
     """A hash of the values, shapes and types of all arrays and numbers of a pytree."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for leaf in jax.tree.leaves(tree):
-        found.update(_array(leaf))
-    return found.hexdigest()
+        digest.update(_array(leaf))
+    return digest.hexdigest()
 
 
 class _Traced:

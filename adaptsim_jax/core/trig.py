@@ -17,14 +17,17 @@ import jax.numpy as jnp
 Tree = TypeVar("Tree")
 
 
-def once(values: Tree, asked: jax.Array) -> Tree:
+def once(values: Tree, primal: jax.Array) -> Tree:
     """`values` as they are, a pytree of floats. asked: Any array but an empty one that does not
     depend on the direction (a derivative's values do, those of the function itself do not).
     """
-    first = jax.lax.stop_gradient(jnp.ravel(asked)[0])
-    one = 1.0 + 0.0 * first  # the compiler cannot know it, or it would drop the branch
+    number = jax.lax.stop_gradient(jnp.ravel(primal)[0])
+    one = 1.0 + 0.0 * number  # the compiler cannot know it, or it would drop the branch
     return jax.lax.cond(
-        first < 0, lambda z: jax.tree.map(lambda y: y * one.astype(y.dtype), z), lambda z: z, values
+        number < 0,
+        lambda z: jax.tree.map(lambda y: y * one.astype(y.dtype), z),
+        lambda z: z,
+        values,
     )
 
 
@@ -47,7 +50,7 @@ def sin_cos(x: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 @sin_cos.defjvp
-def _turned(primals, tangents):
+def _sin_cos_jvp(primals, tangents):
     sin, cos = sin_cos(*primals)
     (dx,) = tangents
     return (sin, cos), (cos * dx, -sin * dx)
@@ -57,16 +60,18 @@ def _series(x: jax.Array) -> tuple[jax.Array, jax.Array]:
     """Both by their Taylor series about the nearest quarter turn (the reduction in two parts is
     Cody and Waite's, 1980).
     """
-    turns = jnp.round(x * (2.0 / math.pi))
-    rest = jnp.clip(
-        (x - turns * QUARTER[0]) - turns * QUARTER[1], -1.0, 1.0
+    quarter_turns = jnp.round(x * (2.0 / math.pi))
+    remainder = jnp.clip(
+        (x - quarter_turns * QUARTER[0]) - quarter_turns * QUARTER[1], -1.0, 1.0
     )  # beyond a million: wrong, but a sine
-    square = rest * rest
-    sin, cos = rest * _horner(square, SINE), _horner(square, COSINE)
-    swapped = turns - 2.0 * jnp.floor(0.5 * turns) == 1.0
-    back = turns - 4.0 * jnp.floor(0.25 * turns) >= 2.0
-    first, second = jnp.where(swapped, cos, sin), jnp.where(swapped, sin, cos)
-    return jnp.where(back, -first, first), jnp.where(back != swapped, -second, second)
+    square = remainder * remainder
+    sin, cos = remainder * _horner(square, SINE), _horner(square, COSINE)
+    is_swapped = quarter_turns - 2.0 * jnp.floor(0.5 * quarter_turns) == 1.0
+    is_negative = quarter_turns - 4.0 * jnp.floor(0.25 * quarter_turns) >= 2.0
+    first, second = jnp.where(is_swapped, cos, sin), jnp.where(is_swapped, sin, cos)
+    return jnp.where(is_negative, -first, first), jnp.where(
+        is_negative != is_swapped, -second, second
+    )
 
 
 def _horner(x: jax.Array, terms: tuple[float, ...]) -> jax.Array:

@@ -119,10 +119,10 @@ class Quantity:
         """
         torques, times = exponents(self.unit) or (0, 0)
         if torques:
-            slow = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0)
+            slowness = max(1.0, 1.0 / max(speed, SLOWEST)) ** max(times, 0)
         else:
-            slow = 1.0
-        return self.low * torque**torques * slow, self.high * torque**torques * slow
+            slowness = 1.0
+        return self.low * torque**torques * slowness, self.high * torque**torques * slowness
 
 
 class Motion(NamedTuple):
@@ -306,9 +306,9 @@ class Effect:
             )
         for p in self.parameters:
             if exponents(p.unit) is None:
-                known = f"{', '.join(UNITS)}, N m s^K/rad^K"
+                valid = f"{', '.join(UNITS)}, N m s^K/rad^K"
                 raise BadInput(
-                    f"effect {self.name}: unit {p.unit!r} is unknown; use one of {known}"
+                    f"effect {self.name}: unit {p.unit!r} is unknown; use one of {valid}"
                 )
         if not self.amplitudes:
             raise BadInput(
@@ -317,7 +317,7 @@ class Effect:
 
     @property
     def key(self) -> str:
-        """By which a search of short trials knows it."""
+        """The name by which a search of short trials knows it."""
         return self.name
 
     @property
@@ -385,7 +385,7 @@ class Effect:
         return self.grid
 
     def grid_points(self, reach: Reach, joint: int) -> Sequence[Mapping[str, float]]:
-        """The same over what the data cover."""
+        """Return shapes to score at over what the data cover."""
         if callable(self.grid):
             return self.grid(reach, joint)
         return self.points

@@ -21,11 +21,11 @@ from adaptsim_jax.core.config import Table, read, suggest
 from adaptsim_jax.core.errors import BadInput, brief, finite
 from adaptsim_jax.mechanisms.model_numbers import (
     NumberName,
+    array_and_row,
     array_at,
     element_names,
     element_number,
     parse,
-    place,
 )
 from adaptsim_jax.space import Parameter, Space
 
@@ -117,7 +117,7 @@ def field_of(model: Any, name: str, where: str = "fields") -> ModelField:
         return _of_all(model, form.kind, name, where)
     attribute = there[form.attribute]
     element = _element(model, form, name, where)
-    array, row = place(model, form.kind, attribute.array or form.attribute, element)
+    array, row = array_and_row(model, form.kind, attribute.array or form.attribute, element)
     numbers = np.asarray(array_at(model, array))
     lead = () if form.element is None else (row,)
     index = (*lead, *_column(numbers[lead], form.index, name, where))
@@ -266,8 +266,8 @@ def edit_native(model: mujoco.MjModel, fields: Sequence[ModelField], values: Any
     """
     for field, value in zip(fields, values, strict=True):
         for edit in field.edits:
-            place, _, last = edit.array.rpartition(".")
-            holder = getattr(model, place) if place else model
+            array_and_row, _, last = edit.array.rpartition(".")
+            holder = getattr(model, array_and_row) if array_and_row else model
             if edit.index:
                 getattr(holder, last)[edit.index] = edit.factor * value
             else:

@@ -120,7 +120,7 @@ def _values(native: mujoco.MjModel, tree: Tree, ctrl: Sequence[int], effects) ->
 
 def _bare(tree: Tree) -> Tree:
     """The tree with nothing held up against gravity, which is MJX's."""
-    return replace(tree, whole=None, compensated=(False,) * tree.n)
+    return replace(tree, all_joints=None, compensated=(False,) * tree.n)
 
 
 def _asked(native: mujoco.MjModel, where: str) -> tuple[Tree, Columns]:

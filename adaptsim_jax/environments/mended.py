@@ -22,7 +22,12 @@ from adaptsim_jax.environments.simulated import acting_physics, stepping_by
 from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.mechanisms.mjcf import mechanism_of
-from adaptsim_jax.mechanisms.model_numbers import array_at, element_names, element_number, place
+from adaptsim_jax.mechanisms.model_numbers import (
+    array_and_row,
+    array_at,
+    element_names,
+    element_number,
+)
 from adaptsim_jax.mechanisms.spec import read_source
 from adaptsim_jax.mend.mjcf import Changes, lost_of, mended_mjcf
 from adaptsim_jax.mend.model_toml import Form, read_form
@@ -266,5 +271,5 @@ def _copied(
 
 def _number(model: mujoco.MjModel, kind: str, attribute: str, element: int) -> np.ndarray:
     """`[1, ...]`, where it stands in the model."""
-    array, row = place(model, kind, attribute, element)
+    array, row = array_and_row(model, kind, attribute, element)
     return array_at(model, array)[row : row + 1]

@@ -3,7 +3,7 @@ et al. 2016; paper, appendix A4).
 
 `Q(s, a) = V(s) - (a - m(s))' P(s) (a - m(s)) / 2` with `P = L L'`, a full positive-definite matrix:
 L is lower triangular with exponentials on its diagonal. Actions live in `[-1, 1]^d`, and the greedy
-one is the exact maximiser of Q inside that box (`naf_box`), so the mean itself may lie outside.
+one is the exact maximiser of Q inside that box (`box_maximiser`), so the mean may lie outside.
 Sizes are static (`NAFConfig`), rates traced (`NAFHyper`). All is pure; vmap over states trains
 hundreds of networks in one update.
 """

@@ -48,8 +48,8 @@ def split(
 
 
 def _parts(cell: str) -> list[str]:
-    found = LIST.fullmatch(cell)
-    inner = (found[1] if found else cell).strip()
+    match = LIST.fullmatch(cell)
+    inner = (match[1] if match else cell).strip()
     return [part for part in re.split(r"\s*[,;]\s*|\s+", inner) if part]
 
 
@@ -60,9 +60,9 @@ def part_name(name: str, place: int) -> str:
 
 def stem_and_place(name: str) -> tuple[str, int] | None:
     """The column and the place that `part_name` made a name of; None for another name."""
-    found = re.fullmatch(r"(.*)\[(\d+)\]", name)
-    if found:
-        return (found[1], int(found[2]))
+    match = re.fullmatch(r"(.*)\[(\d+)\]", name)
+    if match:
+        return (match[1], int(match[2]))
     return None
 
 
@@ -72,20 +72,20 @@ MAX_LISTED = 6
 
 @dataclass(frozen=True)
 class Archive:
-    """`arrays`: those that are wanted, None for the others; `turned`: names of those that had a
+    """`arrays`: those that are wanted, None for the others; `transposed`: names of those that had a
     joint a row.
     """
 
     arrays: dict[str, Any]
-    turned: tuple[str, ...] = ()
+    transposed: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was done to read it, a line each."""
         return (
             "arrays with a row for each joint turned to a row for each sample: "
-            f"{', '.join(self.turned)}",
-        ) * bool(self.turned)
+            f"{', '.join(self.transposed)}",
+        ) * bool(self.transposed)
 
 
 def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
@@ -108,14 +108,14 @@ def read_archive(path: Path, wanted: Collection[str] | None = None) -> Archive:
             f"{path}: is no readable .npz of plain arrays ({why}); save it again with numpy.savez"
         ) from None
     lengths = {max(shape) for shape in shapes.values() if _is_column(shape)}
-    turned = tuple(
+    transposed = tuple(
         name for name, x in arrays.items() if x is not None and _has_rows(x.shape, lengths)
     )
     out = dict(arrays)
     for name, x in arrays.items():
         if x is not None:
-            out[name] = x.T if name in turned else _flat(name, x)
-    return Archive(out, turned)
+            out[name] = x.T if name in transposed else _as_column(name, x)
+    return Archive(out, transposed)
 
 
 def _shape(data: Any, name: str) -> tuple[int, ...]:
@@ -125,10 +125,10 @@ def _shape(data: Any, name: str) -> tuple[int, ...]:
     with data.zip.open(f"{name}.npy") as file:
         version = np.lib.format.read_magic(file)
         if version == (1, 0):
-            read = np.lib.format.read_array_header_1_0
+            read_header = np.lib.format.read_array_header_1_0
         else:
-            read = np.lib.format.read_array_header_2_0
-        return read(file)[0]
+            read_header = np.lib.format.read_array_header_2_0
+        return read_header(file)[0]
 
 
 def _is_column(shape: tuple[int, ...]) -> bool:
@@ -142,17 +142,19 @@ def _has_rows(shape: tuple[int, ...], lengths: Collection[int]) -> bool:
     return shape[1] in lengths and (shape[0] not in lengths or shape[0] < TABLE.min_rows)
 
 
-def _flat(name: str, array: np.ndarray) -> np.ndarray:
+def _as_column(name: str, array: np.ndarray) -> np.ndarray:
     """A column as `[T]`; of what is called as an array of all joints is, `[T, 1]`, so that its
     joint is the first.
     """
     if array.ndim < 2 or not _is_column(array.shape):
         return array
-    reported = role(name)
-    joints = name.lower() in STEMS or (
-        reported is not None and reported.joint is None and reported.stem not in ("time", "trial")
+    column_role = role(name)
+    has_all_joints = name.lower() in STEMS or (
+        column_role is not None
+        and column_role.joint is None
+        and column_role.stem not in ("time", "trial")
     )
-    if joints:
+    if has_all_joints:
         return array.reshape(-1, 1)
     return array.ravel()
 
@@ -161,12 +163,12 @@ def check_lengths(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
     """BadInput where arrays `[T, ...]` have not one T."""
     if len({len(array) for array in arrays.values()}) < 2:
         return
-    some = list(arrays.items())[:MAX_LISTED]
-    sizes = ", ".join(f"{name} {' x '.join(map(str, array.shape))}" for name, array in some)
+    shown = list(arrays.items())[:MAX_LISTED]
+    sizes = ", ".join(f"{name} {' x '.join(map(str, array.shape))}" for name, array in shown)
     if len(arrays) > MAX_LISTED:
-        more = f" and {len(arrays) - MAX_LISTED} more"
+        rest = f" and {len(arrays) - MAX_LISTED} more"
     else:
-        more = ""
+        rest = ""
     raise BadInput(
-        f"{path}: arrays differ in length ({sizes}{more}); save them with one row per sample"
+        f"{path}: arrays differ in length ({sizes}{rest}); save them with one row per sample"
     )

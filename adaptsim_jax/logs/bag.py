@@ -148,8 +148,8 @@ def _kind(schema: Any) -> str:
 
 
 def _ros_decoder(path: Path, schema: Any, encoding: str) -> Decoder:
-    """Of ROS messages: by the definition in the file, and by the common types where it holds
-    none.
+    """Make the decoder of ROS messages: by the definition in the file, and by the common types
+    where it holds none.
     """
     typesys = need(path, "rosbags.typesys", "ros")
     kind, stores = _kind(schema), typesys.Stores
@@ -174,7 +174,7 @@ def _ros_decoder(path: Path, schema: Any, encoding: str) -> Decoder:
 
 
 def _protobuf(path: Path, schema: Any) -> Decoder:
-    """By the file descriptors that the schema holds."""
+    """Make the decoder of protobuf messages by the file descriptors that the schema holds."""
     described = need(path, "google.protobuf.descriptor_pb2", "ros")
     pools, factory = (
         need(path, "google.protobuf.descriptor_pool", "ros"),

@@ -24,7 +24,13 @@ from adaptsim_jax.logs.log import Log, ModelNames
 from adaptsim_jax.logs.read import META, names_of, read_log
 from adaptsim_jax.logs.readers import Wanted
 from adaptsim_jax.logs.table import read_table
-from adaptsim_jax.logs.table_clocks import cuts, naming, pair, restarted, together
+from adaptsim_jax.logs.table_clocks import (
+    cut_at_restarts,
+    cut_at_steps_back,
+    find_time_parts,
+    join_time_parts,
+    trial_column,
+)
 from adaptsim_jax.logs.tables import (
     ENDINGS,
     cells_of,
@@ -39,7 +45,7 @@ MODELS = (".xml", ".mjcf", ".urdf")
 
 
 @dataclass(frozen=True)
-class Begun:
+class WrittenMeta:
     """What was written where: `path` of meta.toml, its `text`; the `log` as it reads now, or what
     is `to_mend` before it does.
 
@@ -55,7 +61,7 @@ class Begun:
 
 def begin(
     data: Path, out: Path | None, model: Path | None, topics: dict[str, str | Sequence[str]]
-) -> Begun:
+) -> WrittenMeta:
     """Write `meta.toml` into `out` (None: into `data`, a folder). Raises `BadInput` where there is
     one, or no data.
     """
@@ -63,40 +69,42 @@ def begin(
     file = model or _only_model(data)
     names = names_of(str(file))[1] if model else _names_in_folder(file)
     tables = _state_files(data)
-    columns, ros_topics, chosen = _columns(data, tables, topics, names.joints if names else ())
+    columns, ros_topics, chosen_topics = _columns(
+        data, tables, topics, names.joints if names else ()
+    )
     if tables:
         columns, clock = _one_clock(tables[0], columns)
     else:
         columns, clock = (columns, {})
     arrays = next(map(_lists, tables), {})
-    named = {ours: array for array, ours in arrays.items() if ours}
-    stated = csv_rows(tables[0], 2).units if tables and tables[0].suffix != ".npz" else {}
+    array_of = {ours: array for array, ours in arrays.items() if ours}
+    heading_units = csv_rows(tables[0], 2).units if tables and tables[0].suffix != ".npz" else {}
     is_set = lerobot.is_lerobot(data) if data.is_dir() else False
-    found = guess(columns, names, is_set, named, stated)
-    renamed = {ours: array for ours, array in named.items() if ours != array}
-    ignored = [name for name in found.ignored if name.strip()]
+    guessed = guess(columns, names, is_set, array_of, heading_units)
+    renames = {ours: array for ours, array in array_of.items() if ours != array}
+    ignored = [name for name in guessed.ignored if name.strip()]
     ignored += [array for array, ours in arrays.items() if not ours]
-    found = replace(found, columns=found.columns | clock | renamed, ignored=tuple(ignored))
-    here = folder.resolve()
+    guessed = replace(guessed, columns=guessed.columns | clock | renames, ignored=tuple(ignored))
+    base_folder = folder.resolve()
     files = table_files(data) if data.is_dir() else []
-    commands = {trial: path.name for trial, path in command_files.suspected(files).items()}
+    commands = {trial: path.name for trial, path in command_files.find_command_files(files).items()}
     draft = Draft(
-        model=_from(file, here) if file else None,
-        data=None if here == data.resolve() else _from(data, here),
+        model=_relative_path(file, base_folder) if file else None,
+        data=None if base_folder == data.resolve() else _relative_path(data, base_folder),
         names=names,
         topics=ros_topics,
-        ros=chosen,
-        kinds=_kinds(found, columns, names),
+        ros=chosen_topics,
+        kinds=_kinds(guessed, columns, names),
         commands=commands,
     )
-    text = meta_text(found, draft)
+    text = meta_text(guessed, draft)
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / META
     write_bytes(path, text.encode())
     try:
-        return Begun(path, text, read_log(folder, names), "", found.ignored)
+        return WrittenMeta(path, text, read_log(folder, names), "", guessed.ignored)
     except BadInput as error:
-        return Begun(path, text, None, str(error), found.ignored)
+        return WrittenMeta(path, text, None, str(error), guessed.ignored)
 
 
 def _folder(data: Path, out: Path | None) -> Path:
@@ -132,9 +140,9 @@ def _only_model(data: Path) -> Path | None:
     """The one MJCF or URDF file beside the data, if there is one."""
     if not data.is_dir():
         return None
-    found = [p for p in data.iterdir() if p.suffix.lower() in MODELS and p.is_file()]
-    if len(found) == 1:
-        return found[0]
+    models = [p for p in data.iterdir() if p.suffix.lower() in MODELS and p.is_file()]
+    if len(models) == 1:
+        return models[0]
     return None
 
 
@@ -148,7 +156,7 @@ def _names_in_folder(model: Path | None) -> ModelNames | None:
         return None
 
 
-def _from(path: Path, folder: Path) -> str:
+def _relative_path(path: Path, folder: Path) -> str:
     return Path(os.path.relpath(path.resolve(), folder)).as_posix()
 
 
@@ -167,54 +175,54 @@ def _columns(
         columns = {
             n: x
             for n, x in trial.columns.items()
-            if not any(n.startswith(f"{v}[") for v in trial.doubt)
+            if not any(n.startswith(f"{v}[") for v in trial.name_problems)
         }
         return columns, [], {}
     if tables:
         return _table_columns(tables[0]), [], {}
     bags = ros.bags(data)
-    if not bags and (others := readers.found(data)):
-        reader, path = others[0]
+    if not bags and (readers_here := readers.found(data)):
+        reader, path = readers_here[0]
         return reader.read(path, Wanted(joints=tuple(joints)))[0].columns, [], {}
     if not bags:
-        read = f"{', '.join((*ENDINGS, *readers.endings()))}, or a LeRobot data set"
-        raise BadInput(f"{data}: holds no recordings ({read}){instead(data)}")
-    there, chosen = ros.bag_topics(bags[0], topics, joints)
-    lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in there]
-    return ros.read_bag(bags[0], Wanted(topics | chosen)).columns, lines, chosen
+        formats = f"{', '.join((*ENDINGS, *readers.endings()))}, or a LeRobot data set"
+        raise BadInput(f"{data}: holds no recordings ({formats}){instead(data)}")
+    bag_topics, chosen_topics = ros.bag_topics(bags[0], topics, joints)
+    lines = [f"{topic.name}: {topic.kind}, {topic.count} messages" for topic in bag_topics]
+    return ros.read_bag(bags[0], Wanted(topics | chosen_topics)).columns, lines, chosen_topics
 
 
 def _one_clock(
     path: Path, columns: dict[str, np.ndarray]
 ) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Columns of the first trial alone, with one time. Our name -> the file's of those that are
-    told by how they go together: the two parts of a time, and what names the trials where the clock
-    starts again.
+    """Return the columns of the first trial alone, with one time; and our name -> the file's of
+    columns that are recognised together: the two parts of a time, and what names the trials where
+    the clock starts again.
     """
-    named: dict[str, str] = {}
-    if TIME[0] not in columns and (found := pair(columns)):
-        time = together(columns[found[0]], columns[found[1]])
+    renames: dict[str, str] = {}
+    if TIME[0] not in columns and (time_parts := find_time_parts(columns)):
+        time = join_time_parts(columns[time_parts[0]], columns[time_parts[1]])
         columns = {TIME[0]: time} | {
-            name: values for name, values in columns.items() if name not in found
+            name: values for name, values in columns.items() if name not in time_parts
         }
-        named = dict(zip((TIME[0], NANOS), found, strict=True))
-    back = (
+        renames = dict(zip((TIME[0], NANOS), time_parts, strict=True))
+    restarting = (
         x
         for name, x in columns.items()
         if is_clock(name) and np.all(np.isfinite(x)) and np.any(np.diff(x) < 0)
     )
-    time = next(back, None)
+    time = next(restarting, None)
     if time is None or any(name in TRIAL for name in column_names(path)):
-        return columns, named
-    trial = naming(cells_of(path), time)
-    parts = cuts(time) if trial else restarted(time)
+        return columns, renames
+    label_column = trial_column(cells_of(path), time)
+    parts = cut_at_steps_back(time) if label_column else cut_at_restarts(time)
     if parts:
         columns = {
             name: x[parts[0]]
             for name, x in columns.items()
-            if name != trial and len(x) == len(time)
+            if name != label_column and len(x) == len(time)
         }
-    return columns, named | ({"trial": trial} if trial else {})
+    return columns, renames | ({"trial": label_column} if label_column else {})
 
 
 def _state_files(data: Path) -> list[Path]:
@@ -224,12 +232,12 @@ def _state_files(data: Path) -> list[Path]:
     if data.is_dir() and lerobot.is_lerobot(data):
         return []
     files = table_files(data)
-    other = {*command_files.suspected(files).values()}
+    excluded = {*command_files.find_command_files(files).values()}
     if len(files) > 1:
         headers = headers_of(files)
-        parts = {name for header in headers.values() for name in pair(header) or ()}
-        other |= {*strays(headers, lambda name: is_clock(name) or name in parts)}
-    files = [path for path in files if path not in other]
+        parts = {name for header in headers.values() for name in find_time_parts(header) or ()}
+        excluded |= {*strays(headers, lambda name: is_clock(name) or name in parts)}
+    files = [path for path in files if path not in excluded]
     if len(files) > 1:
         first = next((k for k, path in enumerate(files) if _holds_numbers(path)), 0)
     else:
@@ -248,11 +256,11 @@ def _lists(path: Path) -> dict[str, str | None]:
     """Lists and arrays `[T, n]` of a file, by name: what each seems to be to us (`q` gives q1 to
     qn), None where nothing.
     """
-    found: dict[str, str | None] = {}
+    stem_of: dict[str, str | None] = {}
     for name in list_columns(path):
         ours = array_name(name)
-        found[name] = None if ours in found.values() else ours
-    return found
+        stem_of[name] = None if ours in stem_of.values() else ours
+    return stem_of
 
 
 def _table_columns(path: Path) -> dict[str, np.ndarray]:
@@ -261,7 +269,7 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
     """
     names = tuple(dict.fromkeys(column_names(path)))
     try:
-        return _placed(read_table(path, names, ours={}).columns, path)
+        return _expand_lists(read_table(path, names, ours={}).columns, path)
     except BadInput as error:
         out = {}
         # one column of words must not hide the others, nor cells that another topic leaves empty
@@ -272,11 +280,11 @@ def _table_columns(path: Path) -> dict[str, np.ndarray]:
                 continue
         if not out:
             raise error
-        return _placed(out, path)
+        return _expand_lists(out, path)
 
 
-def _placed(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
-    """With places of lists by our name of these; lists that seem to be nothing are left out."""
+def _expand_lists(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """Name places of lists by our name of these; lists that seem to be nothing are left out."""
     lists = _lists(path)
     out = {}
     for name, values in columns.items():
@@ -288,13 +296,13 @@ def _placed(columns: dict[str, np.ndarray], path: Path) -> dict[str, np.ndarray]
     return out
 
 
-def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | None) -> list[str]:
+def _kinds(guessed: Guess, columns: dict[str, np.ndarray], names: ModelNames | None) -> list[str]:
     """The input kinds that the columns allow: those that columns name themselves first, then by
     preference.
     """
-    theirs = set(found.columns.values()) | set(found.ignored)
+    file_names = set(guessed.columns.values()) | set(guessed.ignored)
 
-    def of(ours: Iterable[str]) -> list[str]:
+    def kinds_of(ours: Iterable[str]) -> list[str]:
         stems = {r.stem for r in roles_of(ours, names.joints if names else ()).values()}
         return [
             kind
@@ -303,5 +311,10 @@ def _kinds(found: Guess, columns: dict[str, np.ndarray], names: ModelNames | Non
         ]
 
     return list(
-        dict.fromkeys([*of(name for name in columns if name not in theirs), *of(found.columns)])
+        dict.fromkeys(
+            [
+                *kinds_of(name for name in columns if name not in file_names),
+                *kinds_of(guessed.columns),
+            ]
+        )
     )

@@ -19,22 +19,22 @@ MAX_LISTED = 4
 
 def copies(trials: Sequence[tuple[str, np.ndarray]]) -> tuple[str, ...]:
     """A note on each trial (name, angles `[T, n]`) whose angles are those of an earlier one."""
-    notes, known = [], {}
+    notes, seen_by_shape = [], {}
     for (
         name,
         q,
     ) in trials:  # only those of one length and about one sum are compared: there may be a thousand
-        alike = known.setdefault((q.shape, round(float(np.nansum(q)), 3)), [])
-        same = (
+        same_shape = seen_by_shape.setdefault((q.shape, round(float(np.nansum(q)), 3)), [])
+        equal = (
             earlier
-            for earlier, other in alike
+            for earlier, other in same_shape
             if np.allclose(q, other, rtol=1e-6, atol=1e-9, equal_nan=True)
         )
-        if (earlier := next(same, None)) is not None:
+        if (earlier := next(equal, None)) is not None:
             notes.append(
                 f"{name} holds the angles of {earlier}: a copy? leave it out (--without {name})"
             )
-        alike.append((name, q))
+        same_shape.append((name, q))
     return tuple(notes)
 
 

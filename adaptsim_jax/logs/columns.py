@@ -82,33 +82,37 @@ def role(name: str, joints: Iterable[str] = ()) -> Role | None:
         return Role("channel", name.removeprefix(CHANNEL))
     if name.startswith("base_") and name.removeprefix("base_") in BASE:
         return Role("base", name.removeprefix("base_"))
-    commanded = name.endswith("_commanded")
-    found = _PATTERN.fullmatch(name.removesuffix("_commanded") if commanded else name)
-    if not found:
+    is_commanded = name.endswith("_commanded")
+    match = _PATTERN.fullmatch(name.removesuffix("_commanded") if is_commanded else name)
+    if not match:
         return None
-    stem, number, joint = _STEM_OF[found[1]], found[2], found[3]
+    stem, number, joint = _STEM_OF[match[1]], match[2], match[3]
     joints = tuple(joints)
     if number and number not in joints:
-        who: int | str | None = int(number)
+        joint_of: int | str | None = int(number)
     else:
-        who = number or joint
-    if isinstance(who, str) and who not in joints and _PRESENT.fullmatch(who.lower()):
-        who = None
-    letter = (
-        stem == "ctrl" and who is not None and len(str(who)) == 1
+        joint_of = number or joint
+    if (
+        isinstance(joint_of, str)
+        and joint_of not in joints
+        and _PRESENT.fullmatch(joint_of.lower())
+    ):
+        joint_of = None
+    is_letter = (
+        stem == "ctrl" and joint_of is not None and len(str(joint_of)) == 1
     )  # an actuator may well be called m
     if (
-        isinstance(who, str)
-        and who not in joints
-        and who.lower() in SPELLINGS["words"]["not_joints"]
-        and not letter
+        isinstance(joint_of, str)
+        and joint_of not in joints
+        and joint_of.lower() in SPELLINGS["words"]["not_joints"]
+        and not is_letter
     ):
         return None
-    if commanded:
+    if is_commanded:
         if stem == "tau":
-            return Role("tau_commanded", who)
+            return Role("tau_commanded", joint_of)
         return None
-    return Role(stem, who)
+    return Role(stem, joint_of)
 
 
 def roles_of(names: Iterable[str], joints: Iterable[str] = ()) -> dict[str, Role]:
@@ -118,12 +122,14 @@ def roles_of(names: Iterable[str], joints: Iterable[str] = ()) -> dict[str, Role
         joints: The model's.
     """
     joints = tuple(joints)
-    return {name: found for name in names if (found := role(name, joints)) is not None}
+    return {name: column_role for name in names if (column_role := role(name, joints)) is not None}
 
 
 def is_ignored(name: str, ignore: Iterable[str], joints: Iterable[str] = ()) -> bool:
     """Whether `ignore` leaves this column out, by its own name or by that of its joint."""
-    found = role(name, joints)
+    column_role = role(name, joints)
     return name in ignore or (
-        found is not None and isinstance(found.joint, str) and found.joint in ignore
+        column_role is not None
+        and isinstance(column_role.joint, str)
+        and column_role.joint in ignore
     )

@@ -22,30 +22,30 @@ WORDS, STATE_WORDS = (set(SPELLINGS["words"][key]) for key in ("commands", "stat
 """In the names of files of commands, and of states."""
 
 
-def suspected(files: Sequence[Path]) -> dict[str, Path]:
+def find_command_files(files: Sequence[Path]) -> dict[str, Path]:
     """Trials (stems of files) whose commands seem to lie in another of these files, by its name:
     `run_state.csv`, `run_control.csv`.
     """
     commands = [path for path in files if _tokens(path) & WORDS]
     states = [path for path in files if path not in commands]
-    found = {}
+    command_files = {}
     for path in commands:
-        rest = _tokens(path) - WORDS
-        alike = [s for s in states if _tokens(s) - STATE_WORDS == rest]
-        if len(alike) == 1 or (len(states) == len(commands) == 1):
-            found[(alike or states)[0].stem] = path
-    return found
+        words = _tokens(path) - WORDS
+        matching = [s for s in states if _tokens(s) - STATE_WORDS == words]
+        if len(matching) == 1 or (len(states) == len(commands) == 1):
+            command_files[(matching or states)[0].stem] = path
+    return command_files
 
 
 def _tokens(path: Path) -> set[str]:
     return {token for token in re.split(r"[^a-z0-9]+", path.stem.lower()) if token}
 
 
-def check_suspected(files: Sequence[Path]) -> None:
+def check_command_files(files: Sequence[Path]) -> None:
     """BadInput where a file of a folder seems to hold the commands of another, and nobody said
     so.
     """
-    for trial, path in suspected(files).items():
+    for trial, path in find_command_files(files).items():
         raise BadInput(
             f"{path}: looks like the commands of {trial}; write [trials] and commands = "
             f'{{{_key(trial)} = "{path.name}"}} in '
@@ -59,72 +59,74 @@ def _key(trial: str) -> str:
     return f'"{trial}"'
 
 
-def likely_commands(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
+def command_file_note(path: Path, files: Sequence[Path]) -> tuple[str, ...]:
     """A note where a single file is read and another one beside it seems to hold its commands."""
-    found = suspected(files).get(path.stem)
-    if found is None:
+    file = find_command_files(files).get(path.stem)
+    if file is None:
         return ()
     return (
-        f"{found.name} beside it looks like its commands: write [trials] and commands = "
-        f'{{{_key(path.stem)} = "{found.name}"}} in '
+        f"{file.name} beside it looks like its commands: write [trials] and commands = "
+        f'{{{_key(path.stem)} = "{file.name}"}} in '
         "meta.toml to take them",
     )
 
 
-def declared(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, Path]:
+def command_paths(commands: Mapping[str, str], folder: Path, meta: str) -> dict[str, Path]:
     """Trial (or pattern) -> its file of commands, which lies in the data's folder. BadInput where
     there is none.
     """
-    out = {}
+    paths = {}
     for trial, name in commands.items():
-        out[trial] = folder / name
-        if not out[trial].is_file():
+        paths[trial] = folder / name
+        if not paths[trial].is_file():
             raise BadInput(
                 f"{meta}: trials.commands: {name!r} does not exist in {folder}; give a file's name "
                 "there"
             )
-    return out
+    return paths
 
 
 def with_commands(trial: RawTrial, files: Mapping[str, Path], meta: LogMeta) -> RawTrial:
     """A trial with the commands of its file, held from when they came: its angles there are
     targets.
     """
-    path = of_trial(dict[str, Path | None](files), trial.name, None)
-    if path is None:
+    file = of_trial(dict[str, Path | None](files), trial.name, None)
+    if file is None:
         return trial
-    header = column_names(path)
+    header = column_names(file)
     here = {ours: theirs for ours, theirs in meta.columns.items() if theirs in header}
-    reported, *others = read_file(path, path.stem, replace(meta, columns=here))
-    if others:
+    table, *further = read_file(file, file.stem, replace(meta, columns=here))
+    if further:
         raise BadInput(
-            f"{path}: holds commands of {1 + len(others)} trials, as its clock or its column of "
+            f"{file}: holds commands of {1 + len(further)} trials, as its clock or its column of "
             "trials tells; write each a file"
         )
     commands = {}
-    for name, values in reported.columns.items():
-        found = role(name)
-        if found is None or found.stem not in ("q", *COMMANDS):
+    for name, values in table.columns.items():
+        column_role = role(name)
+        if column_role is None or column_role.stem not in ("q", *COMMANDS):
             continue
-        rest = re.sub(r"^[A-Za-z]+", "", name)
-        commands[f"target{rest}" if found.stem == "q" else name] = values
+        suffix = re.sub(r"^[A-Za-z]+", "", name)
+        commands[f"target{suffix}" if column_role.stem == "q" else name] = values
     if not commands:
         raise BadInput(
-            f"{path}: holds no commands; name its columns by [columns] in meta.toml, as target1 or "
+            f"{file}: holds no commands; name its columns by [columns] in meta.toml, as target1 or "
             "target_JOINT"
         )
-    time = next(name for name in trial.columns if name in TIME)
-    other = next(name for name in reported.columns if name in TIME)
-    own = {n: x for n, x in trial.columns.items() if n != time and n not in commands}
-    own[LINE] = trial.lines.astype(float)
-    states = Series(trial.columns[time], own)
-    commanded = Series(reported.columns[other], commands)
-    out, notes = merge(str(trial.path), [states], [commanded])
-    lines = np.round(out.pop(LINE)).astype(np.int64)
-    note = f"commands of {trial.name} taken from {path.name}, held from when they came"
+    state_time = next(name for name in trial.columns if name in TIME)
+    command_time = next(name for name in table.columns if name in TIME)
+    state_columns = {
+        n: x for n, x in trial.columns.items() if n != state_time and n not in commands
+    }
+    state_columns[LINE] = trial.lines.astype(float)
+    states = Series(trial.columns[state_time], state_columns)
+    command_series = Series(table.columns[command_time], commands)
+    columns, notes = merge(str(trial.path), [states], [command_series])
+    lines = np.round(columns.pop(LINE)).astype(np.int64)
+    note = f"commands of {trial.name} taken from {file.name}, held from when they came"
     return replace(
         trial,
-        columns={time: out.pop("time"), **out},
+        columns={state_time: columns.pop("time"), **columns},
         lines=lines,
         notes=(*trial.notes, note, *notes),
     )

@@ -76,7 +76,7 @@ def rows_of(path: Path, text: str, most: int | None = None) -> CsvRows:
             if rows and _header(row) == rows[0]:
                 again.append(line)
             elif len(rows) == 1 and not units and _are_units(row):
-                units = dict(zip(rows[0], map(_bare, row), strict=False))
+                units = dict(zip(rows[0], map(_without_brackets, row), strict=False))
             else:
                 rows.append(_within(row, len(rows[0])) if rows else _header(row))
                 lines.append(line)
@@ -89,15 +89,15 @@ def rows_of(path: Path, text: str, most: int | None = None) -> CsvRows:
     return CsvRows(rows, lines, units, tuple(again))
 
 
-def _bare(cell: str) -> str:
+def _without_brackets(cell: str) -> str:
     return cell.strip(" []()")
 
 
 def _are_units(row: list[str]) -> bool:
     """Whether a row names units, of most columns at least."""
-    cells = [cell for cell in map(_bare, row) if cell]
-    known = sum(unit_of(cell) is not None for cell in cells)
-    return 2 * known > len(cells) and not any(map(is_number, cells))
+    cells = [cell for cell in map(_without_brackets, row) if cell]
+    n_units = sum(unit_of(cell) is not None for cell in cells)
+    return 2 * n_units > len(cells) and not any(map(is_number, cells))
 
 
 def _within(row: list[str], n: int) -> list[str]:

@@ -35,7 +35,7 @@ def declared_task(folder: str | Path) -> str | None:
     return None
 
 
-def known(
+def check_keys(
     path: Path, table: Mapping[str, Any], keys: Sequence[str], name: str = ""
 ) -> Mapping[str, Any]:
     """The table [name] (none: all of the file), of which every key is one of `keys`."""

@@ -65,13 +65,13 @@ def guess(
     joints = model.joints if model else ()
     names: dict[str, str] = {}
     ignored: list[str] = []
-    unknown: list[str] = []
+    unknown_joints: list[str] = []
     for name in columns:
-        ours, left_out = _named(name, model)
+        ours, left_out = _our_name(name, model)
         if ours is not None and ours not in names.values():
             names[name] = ours
         elif left_out:
-            unknown.append(left_out)
+            unknown_joints.append(left_out)
         else:
             ignored.append(name)
     if not any(role(ours, joints) and ours in TIME for ours in names.values()):
@@ -80,45 +80,53 @@ def guess(
             names[clock] = "time"
             ignored = [name for name in ignored if name != clock]
     by_ours = {ours: columns[name] for name, ours in names.items()}
-    stated = {name: f"{name} [{unit}]" for name, unit in (units or {}).items()}
-    written = {ours: stated.get(name, name) for name, ours in names.items()}
+    with_units = {name: f"{name} [{unit}]" for name, unit in (units or {}).items()}
+    headings = {ours: with_units.get(name, name) for name, ours in names.items()}
     for ours in by_ours:
         if (
-            (found := role(ours, joints))
-            and (array := (lists or {}).get(found.stem))
-            and written[ours] == ours
+            (column_role := role(ours, joints))
+            and (array := (lists or {}).get(column_role.stem))
+            and headings[ours] == ours
         ):
-            written[ours] = array
+            headings[ours] = array
     return Guess(
         columns={ours: name for name, ours in names.items() if ours != name},
-        units=guess_units(by_ours, joints, lerobot, model, written),
+        units=guess_units(by_ours, joints, lerobot, model, headings),
         ignored=tuple(ignored),
-        unknown_joints=tuple(dict.fromkeys(unknown)),
+        unknown_joints=tuple(dict.fromkeys(unknown_joints)),
     )
 
 
-def _named(name: str, model: ModelNames | None) -> tuple[str | None, str]:
+def _our_name(name: str, model: ModelNames | None) -> tuple[str | None, str]:
     """Our name of a column, None for none, and what `ignore` calls one of no joint of the model."""
     joints = model.joints if model else ()
     actuators = {a.name for a in (model.actuators or ())} if model else set()
-    read = heading(name, joints)
+    parsed = heading(name, joints)
     # `time_s` is ours as it is
-    own = role(name) is not None and role(name) == role(read.name)
-    bare = name if own else read.name
-    found = role(bare, joints)
-    if found is None:
-        return _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints), ""
-    driven = found.stem == "ctrl" and found.joint in actuators
-    if not isinstance(found.joint, str):
-        left_out = ""
+    is_ours = role(name) is not None and role(name) == role(parsed.name)
+    name_without_unit = name if is_ours else parsed.name
+    column_role = role(name_without_unit, joints)
+    if column_role is None:
+        return _ours(name_without_unit, joints) or _ours(name, joints) or _by_unit(
+            parsed, joints
+        ), ""
+    is_actuator = column_role.stem == "ctrl" and column_role.joint in actuators
+    if not isinstance(column_role.joint, str):
+        ignore_name = ""
     else:
         # ctrl_ACTUATOR is kept; a joint is left out by its name as the reader tells it
-        left_out = name if found.joint in actuators or bare != name else found.joint
-    if left_out and joints and not (found.joint in joints or driven):
-        return _ours(bare, joints) or _ours(name, joints) or _by_unit(read, joints), left_out
-    if bare != name and found.stem == "time":
-        return "time", left_out
-    return bare, left_out
+        ignore_name = (
+            name
+            if column_role.joint in actuators or name_without_unit != name
+            else column_role.joint
+        )
+    if ignore_name and joints and not (column_role.joint in joints or is_actuator):
+        return _ours(name_without_unit, joints) or _ours(name, joints) or _by_unit(
+            parsed, joints
+        ), ignore_name
+    if name_without_unit != name and column_role.stem == "time":
+        return "time", ignore_name
+    return name_without_unit, ignore_name
 
 
 def array_name(name: str) -> str | None:
@@ -147,20 +155,20 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     `joint_2_pos`.
     """
     tokens = [part for token in _tokens(name) for part in _word_and_number(token)]
-    found = [token for token in tokens if token in WORDS]
-    if not found or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
+    words = [token for token in tokens if token in WORDS]
+    if not words or (set(tokens) & {"error", "err", "std", "min", "max", "raw"}):
         return None
     # "elbow_pos_desired" is a target, whatever quantity is desired
-    stem = "target" if set(found) & TARGETS else WORDS[found[-1]]
-    if stem == "target" and {"tau", "torque", "effort"} & set(found):
+    stem = "target" if set(words) & TARGETS else WORDS[words[-1]]
+    if stem == "target" and {"tau", "torque", "effort"} & set(words):
         return None
     if (
         stem == "target" and "data" in tokens
     ):  # an array of commands names no joints: it is in the order of the actuators
         stem = "ctrl"
-    inside = [joint for joint in joints if _contains(tokens, _tokens(joint))]
-    if inside:
-        return f"{stem}_{max(inside, key=len)}"
+    joints_named = [joint for joint in joints if _contains(tokens, _tokens(joint))]
+    if joints_named:
+        return f"{stem}_{max(joints_named, key=len)}"
     number = next(
         (
             re.sub(r"\D", "", token)
@@ -171,43 +179,43 @@ def _ours(name: str, joints: Sequence[str]) -> str | None:
     )
     if number:
         return f"{stem}{number}"
-    rest = [
+    other_tokens = [
         token
         for token in tokens
         if token not in WORDS and token not in SPELLINGS["words"]["measured"]
     ]
     if not joints:
-        if rest:
-            return f"{stem}_{'_'.join(rest)}"
+        if other_tokens:
+            return f"{stem}_{'_'.join(other_tokens)}"
         return stem
-    near = nearest("_".join(rest), joints) if rest else None
-    if near:
-        return f"{stem}_{near}"
-    if len(joints) == 1 and not rest:
+    nearest_joint = nearest("_".join(other_tokens), joints) if other_tokens else None
+    if nearest_joint:
+        return f"{stem}_{nearest_joint}"
+    if len(joints) == 1 and not other_tokens:
         return stem
     return None
 
 
-def _by_unit(read: Heading, joints: Sequence[str]) -> str | None:
+def _by_unit(parsed: Heading, joints: Sequence[str]) -> str | None:
     """Our name of a column that is called as a joint and nothing else: what is measured, its unit
     tells (`elbow (Nm)`).
     """
-    stem = STEM_OF_UNIT.get(read.unit or "")
-    inside = [
+    stem = STEM_OF_UNIT.get(parsed.unit or "")
+    joints_named = [
         joint
         for joint in joints
-        if _tokens(joint) == [t for t in _tokens(read.name) if t != "joint"]
+        if _tokens(joint) == [t for t in _tokens(parsed.name) if t != "joint"]
     ]
-    if stem and len(inside) == 1:
-        return f"{stem}_{inside[0]}"
+    if stem and len(joints_named) == 1:
+        return f"{stem}_{joints_named[0]}"
     return None
 
 
 def _word_and_number(token: str) -> tuple[str, ...]:
     """`position0`, as arrays are exported, is the word and its number; other tokens are whole."""
-    found = re.fullmatch(r"([a-z]{3,})(\d+)", token)
-    if found and found[1] in WORDS:
-        return found.groups()
+    match = re.fullmatch(r"([a-z]{3,})(\d+)", token)
+    if match and match[1] in WORDS:
+        return match.groups()
     return (token,)
 
 
@@ -246,8 +254,8 @@ def meta_text(found: Guess, draft: Draft) -> str:
 
     units = [_unit_line(key, unit, why) for key, (unit, why) in found.units.items()]
     only_slides = draft.names is not None and set(draft.names.joints) <= set(draft.names.slides)
-    scaled = any(isinstance(unit, Scale) for unit, _ in found.units.values())
-    if "angle" not in found.units and not only_slides and not scaled:
+    has_scale = any(isinstance(unit, Scale) for unit, _ in found.units.values())
+    if "angle" not in found.units and not only_slides and not has_scale:
         units.append('# angle = "rad"   # guess: the numbers look like radians')
     template = jinja2.Template(
         Path(__file__).with_name("meta.toml.j2").read_text(encoding="utf-8"),
@@ -270,6 +278,6 @@ def _unit_line(key: str, unit: str | Scale | Question, why: str) -> str:
         return f"# {_line(key, unit.unit)}   # guess, not taken: {why}"
     if not isinstance(unit, Scale):
         return f"{_line(key, unit)}   # guess: {why}"
-    if unit.known:
+    if unit.is_complete:
         return f"{unit.line}   # guess: {why}"
     return f"# {unit.line}   # guess: {why}; fill LOW and HIGH (rad, m)"

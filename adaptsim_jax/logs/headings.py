@@ -72,29 +72,29 @@ def heading(written: str, joints: Iterable[str] = ()) -> Heading:
         joints: The model's, where known. A joint's own name has no unit in it.
     """
     joints = tuple(joints)
-    known = role(written, joints)
-    if known is not None and known.joint in joints:
+    column_role = role(written, joints)
+    if column_role is not None and column_role.joint in joints:
         return Heading(written)
-    for found in reversed(list(_BRACKETS.finditer(written))):
-        name = (written[: found.start()] + written[found.end() :]).strip(" _")
-        if name and found[1] not in joints and (unit := unit_of(found[1])):
+    for match in reversed(list(_BRACKETS.finditer(written))):
+        name = (written[: match.start()] + written[match.end() :]).strip(" _")
+        if name and match[1] not in joints and (unit := unit_of(match[1])):
             return Heading(name, unit)
     number = re.search(r"(?<=[A-Za-z])[\s_.]?\d+$", written)  # `pos_deg_1` is `pos_1` in degrees
     if number:
-        whole, end = (written[: number.start()], number[0])
+        stem, number_text = (written[: number.start()], number[0])
     else:
-        whole, end = ("", "")
-    if found := _suffix(written, joints):
-        return found
-    found = _suffix(whole, joints)
-    if found:
-        return Heading(found.name + end, found.unit)
+        stem, number_text = ("", "")
+    if match := _suffix(written, joints):
+        return match
+    match = _suffix(stem, joints)
+    if match:
+        return Heading(match.name + number_text, match.unit)
     return Heading(written)
 
 
 def _suffix(written: str, joints: tuple[str, ...]) -> Heading | None:
     """The unit that a heading ends in after a separator."""
-    starts = [found.end() for found in _SEPARATORS.finditer(written)]
+    starts = [match.end() for match in _SEPARATORS.finditer(written)]
     for count in range(min(3, len(starts)), 0, -1):
         words = _SEPARATORS.split(written[starts[-count] :])
         name = written[: starts[-count]].rstrip(" _./-")
@@ -119,16 +119,16 @@ def _joined(words: Sequence[str]) -> str:
 
 def _letter(name: str, unit: str, written: str, joints: tuple[str, ...]) -> bool:
     """Whether one letter at the end is a unit (`i1_A`), not the name of a joint (`position_A`)."""
-    known = role(name, joints)
-    if known is None or (not joints and role(written) is not None):
+    column_role = role(name, joints)
+    if column_role is None or (not joints and role(written) is not None):
         return False
     return any(
-        unit in units_of(quantity_of(known.stem, slides), slides) for slides in (False, True)
+        unit in units_of(quantity_of(column_role.stem, slides), slides) for slides in (False, True)
     )
 
 
 def heading_unit(
-    column: str, written: str, found: Role, slides: bool | None, joints: Sequence[str] = ()
+    column: str, written: str, column_role: Role, slides: bool | None, joints: Sequence[str] = ()
 ) -> HeadingUnit | None:
     """What the heading `written` of our `column` says of its unit; None where nothing.
 
@@ -136,14 +136,14 @@ def heading_unit(
         slides: None where the joint is not known.
     """
     unit = heading(written, joints).unit
-    if unit is None or found.stem in ("trial", "base", "channel"):
+    if unit is None or column_role.stem in ("trial", "base", "channel"):
         return None
     if slides is None:
-        turns, goes = (
-            unit in units_of(quantity_of(found.stem, kind), kind) for kind in (False, True)
+        fits_turn, fits_slide = (
+            unit in units_of(quantity_of(column_role.stem, kind), kind) for kind in (False, True)
         )
-        slides = goes and not turns
-    return HeadingUnit(column, written, unit, quantity_of(found.stem, slides), slides)
+        slides = fits_slide and not fits_turn
+    return HeadingUnit(column, written, unit, quantity_of(column_role.stem, slides), slides)
 
 
 def lines(found: Sequence[HeadingUnit]) -> dict[str, HeadingUnit]:
@@ -151,21 +151,21 @@ def lines(found: Sequence[HeadingUnit]) -> dict[str, HeadingUnit]:
     for each column.
     """
     out: dict[str, HeadingUnit] = {}
-    both = {s.slides for s in found if s.quantity == "velocity"}
-    for one in (s for s in found if s.fits):
-        alike = {s.unit for s in found if s.fits and s.quantity == one.quantity}
+    velocity_kinds = {s.slides for s in found if s.quantity == "velocity"}
+    for row in (s for s in found if s.fits):
+        units = {s.unit for s in found if s.fits and s.quantity == row.quantity}
         general = (
-            one.quantity is not None
-            and len(alike) == 1
-            and (one.quantity != "velocity" or len(both) == 1)
+            row.quantity is not None
+            and len(units) == 1
+            and (row.quantity != "velocity" or len(velocity_kinds) == 1)
         )
-        out.setdefault(str(one.quantity) if general else one.column, one)
+        out.setdefault(str(row.quantity) if general else row.column, row)
     return out
 
 
-def compared(
+def check_headings(
     path: str,
-    headed: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
+    headings: Sequence[tuple[HeadingUnit, Affine, tuple[str, ...], str]],
     units: Mapping[str, Unit],
 ) -> tuple[str, ...]:
     """Notes on columns whose headings say another unit than the declared one.
@@ -173,39 +173,42 @@ def compared(
     Raises `BadInput` where nothing is declared and the heading says no SI unit.
 
     Args:
-        headed: Of each column what its heading says, what it is read in, its words in `[units]`,
+        headings: Of each column what its heading says, what it is read in, its words in `[units]`,
             its stem.
     """
     notes: list[str] = []
-    bare: list[HeadingUnit] = []
-    for one, unit, words, stem in headed:
-        own = declared(units, stem, words, slides=one.slides)
-        if not one.fits:
-            if own:
+    undeclared: list[HeadingUnit] = []
+    for row, unit, words, stem in headings:
+        declared_unit = declared(units, stem, words, slides=row.slides)
+        if not row.fits:
+            if declared_unit:
                 notes += []
             else:
                 notes += [
-                    f"the heading {one.heading!r} says {one.unit}, no unit of {one.quantity}: not "
+                    f"the heading {row.heading!r} says {row.unit}, no unit of {row.quantity}: not "
                     "taken"
                 ]
-        elif unit.offset or abs(unit.scale / one.scale - 1.0) > UNIT.close:
-            if own is None:
-                bare.append(one)
-            elif isinstance(own, str):
+        elif unit.offset or abs(unit.scale / row.scale - 1.0) > UNIT.scale_tolerance:
+            if declared_unit is None:
+                undeclared.append(row)
+            elif isinstance(declared_unit, str):
                 notes.append(
-                    f"column {one.heading!r} is read in {own}, as declared; its heading says "
-                    f"{one.unit}"
+                    f"column {row.heading!r} is read in {declared_unit}, as declared; its heading "
+                    f"says {row.unit}"
                 )
-    if not bare:
+    if not undeclared:
         return tuple(notes)
-    every = lines([one for one, *_ in headed])
+    all_lines = lines([row for row, *_ in headings])
     mend = {
-        key: one for key, one in every.items() if any(key in (o.quantity, o.column) for o in bare)
+        key: row
+        for key, row in all_lines.items()
+        if any(key in (o.quantity, o.column) for o in undeclared)
     }
-    other = ((key, si_of(one.quantity, one.slides)) for key, one in mend.items())
-    statement = " and ".join(f'{key} = "{one.unit}"' for key, one in mend.items())
-    else_ = " and ".join(f'{key} = "{name}"' if name else f"{key} = 1.0" for key, name in other)
+    other = ((key, si_of(row.quantity, row.slides)) for key, row in mend.items())
+    text = " and ".join(f'{key} = "{row.unit}"' for key, row in mend.items())
+    otherwise = " and ".join(f'{key} = "{name}"' if name else f"{key} = 1.0" for key, name in other)
     raise BadInput(
-        f"{path}: the heading {bare[0].heading!r} says {bare[0].unit}, and no unit is declared for "
-        f"it; write {statement} under [units] in meta.toml, or {else_} if the heading is wrong"
+        f"{path}: the heading {undeclared[0].heading!r} says {undeclared[0].unit}, and no unit is "
+        "declared for "
+        f"it; write {text} under [units] in meta.toml, or {otherwise} if the heading is wrong"
     )

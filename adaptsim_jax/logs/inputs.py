@@ -11,12 +11,12 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest, suggest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import flipped_joints, followed_turns, model_angles
+from adaptsim_jax.logs.angles import flipped_joints, follow_turns, model_angles
 from adaptsim_jax.logs.criteria import COMMAND
 from adaptsim_jax.logs.joint_columns import JointColumns, also_there
 from adaptsim_jax.logs.log import ActuatorName, InputKind, ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
-from adaptsim_jax.logs.quality.commands import limited, within
+from adaptsim_jax.logs.quality.commands import limit_distance, limit_rate
 
 STEM = {"torque": "tau", "command": "target", "voltage": "u", "current": "i", "none": ""}
 PREFERRED: tuple[InputKind, ...] = ("torque", "command", "current", "voltage")
@@ -37,22 +37,22 @@ class Inputs:
     notes: tuple[str, ...] = ()
 
     def of(
-        self, columns: JointColumns, names: ModelNames, meta: LogMeta, selected: np.ndarray
+        self, columns: JointColumns, names: ModelNames, meta: LogMeta, moving: np.ndarray
     ) -> np.ndarray:
         """`u [T, m]` of one trial in SI units.
 
         Args:
-            selected: Numbers of the joints that move.
+            moving: Numbers of the joints that move.
         """
         if self.kind == "none":
             return np.zeros((len(columns.time), 0))
         if self.kind != "command":
-            u = columns.stacked(self.stem, len(names.joints))
+            u = columns.joint_array(self.stem, len(names.joints))
             u[:, [joint not in self.driven for joint in names.joints]] = 0.0
-            _complete(columns, self.kind, names.joints, u)
-            return np.where(flipped_joints(names, meta), -u, u)[:, selected]
-        angles = model_angles(columns.stacked("target", len(names.joints)), names, meta)
-        out = []
+            _check_complete(columns, self.kind, names.joints, u)
+            return np.where(flipped_joints(names, meta), -u, u)[:, moving]
+        angles = model_angles(columns.joint_array("target", len(names.joints)), names, meta)
+        commands = []
         for index, actuator in enumerate(self.actuators):
             command = columns.ctrl.get(
                 actuator.name, columns.ctrl.get(index, columns.ctrl.get(actuator.joint))
@@ -60,16 +60,19 @@ class Inputs:
             if command is None and _has_command(columns, actuator, index, names):
                 angle = angles[:, names.joints.index(actuator.joint)]
                 command = actuator.at_zero + actuator.per_angle * angle
-            out.append(np.zeros(len(columns.time)) if command is None else command)
+            commands.append(np.zeros(len(columns.time)) if command is None else command)
         u = np.stack(
-            [_sent(columns, names, meta, *one) for one in zip(self.actuators, out, strict=True)],
+            [
+                _as_sent(columns, names, meta, *pair)
+                for pair in zip(self.actuators, commands, strict=True)
+            ],
             axis=1,
         )
-        _complete(columns, self.kind, self.names, u)
+        _check_complete(columns, self.kind, self.names, u)
         return u
 
 
-def _sent(
+def _as_sent(
     columns: JointColumns,
     names: ModelNames,
     meta: LogMeta,
@@ -79,34 +82,36 @@ def _sent(
     """A command `[T]` that is an angle: with the whole turns of the angle of its joint, and cut as
     `[commands]` says.
     """
-    if (j := _servo(actuator, names)) is None:
+    if (j := _servo_joint(actuator, names)) is None:
         return command
-    q = model_angles(columns.stacked("q", len(names.joints)), names, meta)[:, j]
+    q = model_angles(columns.joint_array("q", len(names.joints)), names, meta)[:, j]
     if not np.isfinite(q).any():  # of a joint that is held
         return command
     angle = (command - actuator.at_zero) / actuator.per_angle
     if actuator.kind == "position" and actuator.joint not in names.slides:
-        angle = followed_turns(q, angle)
+        angle = follow_turns(q, angle)
     if actuator.joint in meta.rate:
-        angle = limited(columns.time, angle, q, meta.rate[actuator.joint])
+        angle = limit_rate(columns.time, angle, q, meta.rate[actuator.joint])
     if actuator.joint in meta.within:
-        angle = within(angle, q, meta.within[actuator.joint])
+        angle = limit_distance(angle, q, meta.within[actuator.joint])
     return actuator.at_zero + actuator.per_angle * angle
 
 
-def _complete(columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray) -> None:
-    bad = np.argwhere(np.isnan(u))
+def _check_complete(
+    columns: JointColumns, kind: str, names: tuple[str, ...], u: np.ndarray
+) -> None:
+    missing = np.argwhere(np.isnan(u))
     for k in np.flatnonzero(np.isnan(u).all(0))[:1]:
         name, row = names[k], columns.raw.row_word
         raise BadInput(
             f"{columns.raw.path}: no {kind} of {name} in any {row}; record it, or write "
             f'ignore = ["{STEM[kind]}_{name}"] in meta.toml where it has none'
         )
-    if bad.size:
-        row, k = bad[0]
+    if missing.size:
+        row, k = missing[0]
         where = f"{columns.raw.row_word} {columns.raw.lines[row]}"
         raise BadInput(
-            f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(bad) - 1} more); "
+            f"{columns.raw.path}: {where}: no {kind} of {names[k]} (and {len(missing) - 1} more); "
             "remove such rows"
         )
 
@@ -123,26 +128,28 @@ def choose_inputs(
     """
     kinds = [_kinds(columns) for columns in trials]
     kind: InputKind = meta.input or next(
-        (k for k in PREFERRED if all(k in have for have in kinds)), "none"
+        (k for k in PREFERRED if all(k in columns_kinds for columns_kinds in kinds)), "none"
     )  # type: ignore[assignment]
-    for columns, have in zip(trials, kinds, strict=True):
-        if kind == "none" and have and not meta.input:
-            has = " and ".join(sorted(have))
-            other = next(t.raw.name for t, h in zip(trials, kinds, strict=True) if not have & h)
+    for columns, columns_kinds in zip(trials, kinds, strict=True):
+        if kind == "none" and columns_kinds and not meta.input:
+            has = " and ".join(sorted(columns_kinds))
+            other_trial = next(
+                t.raw.name for t, h in zip(trials, kinds, strict=True) if not columns_kinds & h
+            )
             raise BadInput(
-                f"{columns.raw.path}: has {has} columns, trial {other} has none of them; log the "
-                f"same in all trials, "
+                f"{columns.raw.path}: has {has} columns, trial {other_trial} has none of them; log "
+                f"the same in all trials, "
                 'leave trials out by [trials] exclude, or write input = "none" in meta.toml'
             )
-        if kind != "none" and kind not in have:
+        if kind != "none" and kind not in columns_kinds:
             raise BadInput(
                 f'{columns.raw.path}: has no column for input = "{kind}"; add {STEM[kind]}1, or '
                 f"name it by [columns]"
             )
     first = trials[0]
     if kind == "none":
-        idle = _motors_off(first, names, meta, moving)
-        return Inputs(kind, "", (), (), notes=idle)
+        notes_off = _motors_off(first, names, meta, moving)
+        return Inputs(kind, "", (), (), notes=notes_off)
     notes = _notes(kind, kinds, meta)
     if kind == "command":
         if meta.targets is None:
@@ -151,24 +158,26 @@ def choose_inputs(
     stem = STEM[kind]
     if kind == "torque" and not all("tau" in t.by_joint for t in trials):
         stem, notes = "tau_commanded", (*notes, "torques are commands, not measured")
-    driven = tuple(joint for joint in _driven(trials, stem, names) if joint in moving)
-    lacking = [joint for joint in moving if not {joint, *names.tied.get(joint, ())} & set(driven)]
+    driven = tuple(joint for joint in _driven_joints(trials, stem, names) if joint in moving)
+    undriven = [
+        joint for joint in moving if not {joint, *names.coupled.get(joint, ())} & set(driven)
+    ]
     for actuator in names.actuators or ():
-        if actuator.joint in lacking and not set(actuator.joints) & set(driven):
+        if actuator.joint in undriven and not set(actuator.joints) & set(driven):
             raise BadInput(
                 f"{first.raw.path}: no {kind} of joint '{actuator.joint}', which has a motor in "
                 f"the model; add column {stem}_{actuator.joint}, or take actuator "
                 f"'{actuator.name}' out of the model"
             )
-    if lacking:
-        notes = (*notes, f"no {kind} column, taken as free to move: {', '.join(lacking)}")
+    if undriven:
+        notes = (*notes, f"no {kind} column, taken as free to move: {', '.join(undriven)}")
     return Inputs(kind, stem, tuple(moving), driven, notes=notes)
 
 
 def _kinds(columns: JointColumns) -> set[str]:
-    have = {kind for kind, stem in STEM.items() if stem in columns.by_joint}
-    have |= {"torque"} if "tau_commanded" in columns.by_joint else set()
-    return have | ({"command"} if columns.ctrl else set())
+    kinds = {kind for kind, stem in STEM.items() if stem in columns.by_joint}
+    kinds |= {"torque"} if "tau_commanded" in columns.by_joint else set()
+    return kinds | ({"command"} if columns.ctrl else set())
 
 
 def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
@@ -181,17 +190,17 @@ def _notes(kind: str, kinds: list[set[str]], meta: LogMeta) -> tuple[str, ...]:
     )
 
 
-def _driven(trials: list[JointColumns], stem: str, names: ModelNames) -> tuple[str, ...]:
+def _driven_joints(trials: list[JointColumns], stem: str, names: ModelNames) -> tuple[str, ...]:
     """Joints with a column of `stem`, the same in all trials."""
-    here = set(trials[0].by_joint[stem])
+    driven = set(trials[0].by_joint[stem])
     for columns in trials[1:]:
-        if differ := here ^ set(columns.by_joint.get(stem, {})):
-            joint = names.joints[min(differ)]
+        if differing := driven ^ set(columns.by_joint.get(stem, {})):
+            joint = names.joints[min(differing)]
             raise BadInput(
                 f"{columns.raw.path}: joint '{joint}' has a {stem} column in some trials only; add "
                 f"{stem}_{joint} to all (0 where nothing was applied)"
             )
-    return tuple(joint for j, joint in enumerate(names.joints) if j in here)
+    return tuple(joint for j, joint in enumerate(names.joints) if j in driven)
 
 
 def _commands(
@@ -202,7 +211,7 @@ def _commands(
     """
     if names.actuators is None:
         if "target" in trials[0].by_joint:
-            joints = _driven(trials, "target", names)
+            joints = _driven_joints(trials, "target", names)
         else:
             joints = ()
         if any(columns.ctrl for columns in trials):
@@ -216,7 +225,7 @@ def _commands(
             f"it, "
             '<position joint="..." kp="..." kv="..."/> for position targets, or log torques'
         )
-    idle: dict[str, None] = {}
+    without_command: dict[str, None] = {}
     for columns in trials:
         _check_ctrl(columns, actuators)
         for index, actuator in enumerate(actuators):
@@ -224,18 +233,18 @@ def _commands(
                 actuator.kind == "other" or set(actuator.joints) & set(moving)
             ):
                 continue
-            others = [
+            same_joint = [
                 a for a in actuators if a is not actuator and set(a.joints) & set(actuator.joints)
             ]
             if actuator.kind == "other" or any(
-                _has_command(columns, a, actuators.index(a), names) for a in others
+                _has_command(columns, a, actuators.index(a), names) for a in same_joint
             ):
-                idle[actuator.name] = None
+                without_command[actuator.name] = None
                 continue
-            _no_command(columns, actuator, names)
+            _raise_no_command(columns, actuator, names)
         _check_targets(columns, actuators, names, moving)
-    if idle:
-        notes = (*notes, f"no command logged, taken as 0: {', '.join(idle)}")
+    if without_command:
+        notes = (*notes, f"no command logged, taken as 0: {', '.join(without_command)}")
     driven = tuple(j for j in moving if any(j in a.joints for a in actuators))
     return Inputs("command", "target", tuple(a.name for a in actuators), driven, actuators, notes)
 
@@ -266,33 +275,37 @@ def _check_next_rows(trials: list[JointColumns], names: ModelNames) -> None:
         if stem != "target" or any(("q", j) not in t.written for t in trials):
             continue
         pairs = [(t.written["q", j], t.written[stem, j]) for t in trials if (stem, j) in t.written]
-        q, after, then, u = (
+        q, next_q, after_next, u = (
             np.concatenate(parts)
             for parts in zip(*((q[:-2], q[1:-1], q[2:], u[:-2]) for q, u in pairs), strict=True)
         )
-        moves = after != q
-        for what, value in (
-            ("the angle of the next row", after),
-            ("the step to it", after - q),
+        is_moving = next_q != q
+        for description, value in (
+            ("the angle of the next row", next_q),
+            ("the step to it", next_q - q),
             ("the angle itself", q),
-            ("the angle two rows later", then),
+            ("the angle two rows later", after_next),
         ):
-            near = np.abs(u - value) <= COMMAND.rounding * np.max(np.abs(q), initial=0.0)
-            if moves.sum() >= COMMAND.min_blocks and np.mean(near[moves]) > COMMAND.next_rows:
+            is_equal = np.abs(u - value) <= COMMAND.rounding * np.max(np.abs(q), initial=0.0)
+            if (
+                is_moving.sum() >= COMMAND.min_blocks
+                and np.mean(is_equal[is_moving]) > COMMAND.min_next_row_share
+            ):
                 raise BadInput(
-                    f"{trials[0].raw.path}: column {column!r} is {what} in nearly every row: what "
+                    f"{trials[0].raw.path}: column {column!r} is {description} in nearly every "
+                    "row: what "
                     f"joint '{names.joints[j]}' was commanded is not in the log; record it, or "
                     'write targets = "absolute" (as logged) or "relative" (added to the angle) '
                     "under [commands] in meta.toml, to take it all the same"
                 )
 
 
-def _servo(actuator: ActuatorName, names: ModelNames) -> int | None:
+def _servo_joint(actuator: ActuatorName, names: ModelNames) -> int | None:
     """The number of the joint that a servo drives to an angle; None where that is not what it
     does.
     """
-    servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
-    if servo:
+    is_servo = actuator.kind in ("position", "general") and actuator.joint in names.joints
+    if is_servo:
         return names.joints.index(actuator.joint)
     return None
 
@@ -303,11 +316,11 @@ def _has_command(
     """Whether a trial has what an actuator was told: its own column, or a servo the target of its
     joint.
     """
-    own = {actuator.name, actuator.joint, index} & set(columns.ctrl)
-    return bool(own) or _servo(actuator, names) in columns.by_joint.get("target", {})
+    keys = {actuator.name, actuator.joint, index} & set(columns.ctrl)
+    return bool(keys) or _servo_joint(actuator, names) in columns.by_joint.get("target", {})
 
 
-def _no_command(columns: JointColumns, actuator: ActuatorName, names: ModelNames) -> None:
+def _raise_no_command(columns: JointColumns, actuator: ActuatorName, names: ModelNames) -> None:
     path, joint = columns.raw.path, actuator.joint
     if (
         actuator.kind == "motor"
@@ -332,7 +345,7 @@ def _no_command(columns: JointColumns, actuator: ActuatorName, names: ModelNames
 
 
 def _ctrl_joints(columns: JointColumns, names: ModelNames) -> tuple[str, ...]:
-    out = []
+    joints = []
     for key in columns.ctrl:
         if isinstance(key, int) and 0 <= key < len(names.joints):
             joint = names.joints[key]
@@ -343,12 +356,12 @@ def _ctrl_joints(columns: JointColumns, names: ModelNames) -> tuple[str, ...]:
                 f"{columns.raw.path}: column ctrl_{key} names no joint; "
                 f"{suggest(str(key), names.joints)}"
             )
-        out.append(joint)
-    return tuple(joint for joint in names.joints if joint in out)
+        joints.append(joint)
+    return tuple(joint for joint in names.joints if joint in joints)
 
 
 def _check_ctrl(columns: JointColumns, actuators: tuple[ActuatorName, ...]) -> None:
-    known = [name for a in actuators for name in (a.name, a.joint) if name]
+    valid = [name for a in actuators for name in (a.name, a.joint) if name]
     for key in columns.ctrl:
         if isinstance(key, int) and not 0 <= key < len(actuators):
             raise BadInput(
@@ -356,12 +369,12 @@ def _check_ctrl(columns: JointColumns, actuators: tuple[ActuatorName, ...]) -> N
                 f"actuator(s); "
                 f'write ignore = ["ctrl{key + 1}"] in meta.toml, or add the actuator'
             )
-        if isinstance(key, str) and key not in known:
-            near = nearest(key, known)
+        if isinstance(key, str) and key not in valid:
+            near = nearest(key, valid)
             if near:
                 hint = f"did you mean '{near}'?"
             else:
-                hint = f"it has {', '.join(known)};"
+                hint = f"it has {', '.join(valid)};"
             mend = f'rename it by [columns] in meta.toml, or write ignore = ["ctrl_{key}"]'
             raise BadInput(
                 f"{columns.raw.path}: column ctrl_{key}: the model has no actuator '{key}'; {hint} "
@@ -378,10 +391,10 @@ def _motors_off(
     needed = [a for a in names.actuators or () if set(a.joints) & set(moving)]
     if not needed:
         return ()
-    first, nothing = needed[0], "nothing can be said of the drives"
+    first, caveat = needed[0], "nothing can be said of the drives"
     if meta.input == "none":
         joints = ", ".join(dict.fromkeys(a.joint for a in needed))
-        return (f"input is none: motors of {joints} are taken as off; if they worked, {nothing}",)
+        return (f"input is none: motors of {joints} are taken as off; if they worked, {caveat}",)
     column = f"target_{first.joint}"
     if first.kind == "motor":
         column = f"ctrl_{first.name}"
@@ -389,5 +402,5 @@ def _motors_off(
     raise BadInput(
         f"{columns.raw.path}: no command for actuator '{first.name}' of joint '{first.joint}'; add "
         f'column {column} (or tau_{first.joint}), or write input = "none" in meta.toml where its '
-        f"motor was off (if it worked, and neither command nor torque is logged, {nothing}){also}"
+        f"motor was off (if it worked, and neither command nor torque is logged, {caveat}){also}"
     )

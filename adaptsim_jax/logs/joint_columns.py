@@ -9,10 +9,10 @@ import numpy as np
 
 from adaptsim_jax.core.config import nearest
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import Turns, followed_turns, turns_of
+from adaptsim_jax.logs.angles import Turns, follow_turns, turns_of
 from adaptsim_jax.logs.columns import BASE, Role, roles_of
 from adaptsim_jax.logs.criteria import TABLE
-from adaptsim_jax.logs.headings import HeadingUnit, compared, heading_unit
+from adaptsim_jax.logs.headings import HeadingUnit, check_headings, heading_unit
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.log_units import ANGLE_UNITS, Affine, column_unit, command_unit, declared
@@ -25,7 +25,7 @@ class JointColumns:
     """One trial's columns in SI units by stem and joint: `by_joint[stem] [T]` of each joint's
     index; `ctrl` by actuator.
 
-    - `turns`: Whether whole turns were taken out of angles.
+    - `is_unwrapped`: Whether jumps of whole turns were taken out of angles.
     - `written`: (stem, joint) -> `[T]` as the file has it, of angles and targets.
     - `named`: (stem, joint) -> its column.
     - `scale`: (stem, joint) -> SI of one as written.
@@ -39,7 +39,7 @@ class JointColumns:
     time: np.ndarray
     by_joint: dict[str, dict[int, np.ndarray]]
     ctrl: dict[int | str, np.ndarray]
-    turns: bool
+    is_unwrapped: bool
     written: dict[tuple[str, int], np.ndarray] = field(default_factory=dict)
     named: dict[tuple[str, int], str] = field(default_factory=dict)
     scale: dict[tuple[str, int], float] = field(default_factory=dict)
@@ -48,14 +48,14 @@ class JointColumns:
     declared: frozenset[int] = frozenset()
     notes: tuple[str, ...] = ()
 
-    def stacked(self, stem: str, n: int) -> np.ndarray:
-        """`[T, n]` of a quantity, NaN for joints without."""
+    def joint_array(self, stem: str, n: int) -> np.ndarray:
+        """Collect the columns of a stem to an array `[T, n]`, NaN for joints without."""
         out = np.full((len(self.time), n), np.nan)
         for j, values in self.by_joint.get(stem, {}).items():
             out[:, j] = values
         return out
 
-    def scaled(self, j: int) -> bool:
+    def has_scale(self, j: int) -> bool:
         """Whether a joint's angles are declared in a scale that is no unit of angle."""
         own = (self.scale.get((stem, j), 1.0) for stem in ("q", "target"))
         return any(scale not in ANGLE_UNITS.values() for scale in own)
@@ -63,11 +63,11 @@ class JointColumns:
 
 @dataclass
 class _Converter:
-    """Columns of one trial made SI one by one: what is known of them so far.
+    """Converts the columns of one trial to SI units, one by one.
 
     - `ctrl`, `by_joint`, `written`, `named`, `scale`, `declared`: As of `JointColumns`.
-    - `headed`: What headings say of units, beside what is taken.
-    - `counted`: Joints whose encoder counts its turns: readings go beyond a turn.
+    - `headings`: What headings say of units, and the unit that is taken.
+    - `multi_turn`: Joints whose encoder counts its turns: readings go beyond a turn.
     """
 
     trial: RawTrial
@@ -80,30 +80,30 @@ class _Converter:
     named: dict[tuple[str, int], str] = field(default_factory=dict)
     scale: dict[tuple[str, int], float] = field(default_factory=dict)
     declared: set[int] = field(default_factory=set)
-    headed: list[tuple[HeadingUnit, Affine, tuple[str, ...], str]] = field(default_factory=list)
-    counted: set[int] = field(default_factory=set)
+    headings: list[tuple[HeadingUnit, Affine, tuple[str, ...], str]] = field(default_factory=list)
+    multi_turn: set[int] = field(default_factory=set)
 
-    def time(self, name: str, found: Role) -> np.ndarray:
+    def time(self, name: str, column_role: Role) -> np.ndarray:
         """Times `[T]` s."""
         where = f"{self.trial.path}: column {name}"
         scale = column_unit(where, self.meta.units, "time", (name,), slides=False).scale
-        self._head(name, found, (name,), Affine(scale))
+        self._note_heading(name, column_role, (name,), Affine(scale))
         seconds = self.trial.columns[name] * scale
         check_time_unit(self.trial.path, seconds, scale)
         return seconds
 
-    def command(self, name: str, found: Role) -> None:
+    def command(self, name: str, column_role: Role) -> None:
         """A column of commands to an actuator."""
-        place = _place(found, self.zero_based)
-        words = found.words(name, _actuator(place, self.names))
+        key = _actuator_key(column_role, self.zero_based)
+        words = column_role.words(name, _actuator_name(key, self.names))
         unit = command_unit(f"{self.trial.path}: column {name}", self.meta.units, words)
-        self._head(name, found, words, unit)
-        self.ctrl[place] = unit.of(self.trial.columns[name])
+        self._note_heading(name, column_role, words, unit)
+        self.ctrl[key] = unit.of(self.trial.columns[name])
 
-    def joint(self, name: str, found: Role) -> None:
+    def joint(self, name: str, column_role: Role) -> None:
         """A column of a joint."""
         trial, names, units = self.trial, self.names, self.meta.units
-        stem, j = found.stem, _joint(trial, name, found, names, self.zero_based)
+        stem, j = column_role.stem, _joint_index(trial, name, column_role, names, self.zero_based)
         joint = names.joints[j]
         if (stem, j) in self.named:
             raise BadInput(
@@ -111,10 +111,10 @@ class _Converter:
                 f"joint {joint!r}; keep one, or write ignore = [{name!r}] in meta.toml"
             )
         self.named[stem, j] = name
-        slides, words = joint in names.slides, found.words(name, joint)
+        slides, words = joint in names.slides, column_role.words(name, joint)
         where, limits = f"{trial.path}: column {name}", names.limits_of(j)
         unit = column_unit(where, units, stem, words, slides=slides, limits=limits)
-        self._head(name, found, words, unit, slides)
+        self._note_heading(name, column_role, words, unit, slides)
         if stem == "q" and declared(units, "q", words, slides=slides) is not None:
             self.declared.add(j)
         raw = trial.columns[name]
@@ -122,20 +122,25 @@ class _Converter:
         if stem in ("q", "target"):
             self.written[stem, j] = raw
         if stem == "q" and unit.count and np.nanmax(raw) - np.nanmin(raw) > unit.count:
-            self.counted.add(j)
+            self.multi_turn.add(j)
         values = unit.of(raw)
         check_size(trial.path, name, values, trial.lines, trial.row_word)
         self.by_joint.setdefault(stem, {})[j] = values
 
-    def _head(
-        self, name: str, found: Role, words: tuple[str, ...], unit: Affine, slides: bool = False
+    def _note_heading(
+        self,
+        name: str,
+        column_role: Role,
+        words: tuple[str, ...],
+        unit: Affine,
+        slides: bool = False,
     ) -> None:
         columns = self.meta.columns
-        written = columns.get(name) or columns.get(found.stem, name)
+        written = columns.get(name) or columns.get(column_role.stem, name)
         if name in self.trial.units:
             written = f"{written} [{self.trial.units[name]}]"
-        if one := heading_unit(name, written, found, slides, self.names.joints):
-            self.headed.append((one, unit, words, found.stem))
+        if one := heading_unit(name, written, column_role, slides, self.names.joints):
+            self.headings.append((one, unit, words, column_role.stem))
 
 
 def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumns:
@@ -143,49 +148,49 @@ def columns_of(trial: RawTrial, names: ModelNames, meta: LogMeta) -> JointColumn
     wrong unit, an absurd value.
     """
     roles = roles_of(trial.columns, names.joints)
-    made = _Converter(trial, names, meta, _zero_based(roles.values()))
+    converter = _Converter(trial, names, meta, _zero_based(roles.values()))
     time = next(name for name, r in roles.items() if r.stem == "time")
-    seconds = made.time(time, roles[time])
-    for name, found in roles.items():
-        if found.stem == "ctrl":
-            made.command(name, found)
-        elif found.stem not in ("time", "trial", "base", "channel"):
-            made.joint(name, found)
-    notes = compared(trial.path, made.headed, meta.units)
-    angles, commanded = (made.by_joint.get(stem, {}) for stem in ("q", "target"))
-    wrapping = {j: q for j, q in angles.items() if j not in made.counted}
-    whole, unsure = _without_turns(trial, names, seconds, wrapping)
-    whole = angles | whole
+    seconds = converter.time(time, roles[time])
+    for name, column_role in roles.items():
+        if column_role.stem == "ctrl":
+            converter.command(name, column_role)
+        elif column_role.stem not in ("time", "trial", "base", "channel"):
+            converter.joint(name, column_role)
+    notes = check_headings(trial.path, converter.headings, meta.units)
+    angles, targets_as_logged = (converter.by_joint.get(stem, {}) for stem in ("q", "target"))
+    wrapping = {j: q for j, q in angles.items() if j not in converter.multi_turn}
+    unwrapped, gap_notes = _without_turns(trial, names, seconds, wrapping)
+    unwrapped = angles | unwrapped
     if meta.targets == "relative":
-        commanded = {j: angles[j] + u for j, u in commanded.items() if j in angles}
+        targets_as_logged = {j: angles[j] + u for j, u in targets_as_logged.items() if j in angles}
     targets = {
-        j: followed_turns(whole[j], u) if j in whole and names.turns_to(j) else u
-        for j, u in commanded.items()
+        j: follow_turns(unwrapped[j], u) if j in unwrapped and names.is_angle_target(j) else u
+        for j, u in targets_as_logged.items()
     }
     channels = {
         str(r.joint): trial.columns[name] for name, r in roles.items() if r.stem == "channel"
     }
-    by_joint = made.by_joint | {"q": whole}
+    by_joint = converter.by_joint | {"q": unwrapped}
     if targets:
         by_joint["target"] = targets
-    turned = _changed(whole, angles) or _changed(targets, commanded)
+    is_unwrapped = _has_changed(unwrapped, angles) or _has_changed(targets, targets_as_logged)
     return JointColumns(
         trial,
         from_zero(seconds),
         by_joint,
-        made.ctrl,
-        turned,
-        made.written,
-        made.named,
-        made.scale,
+        converter.ctrl,
+        is_unwrapped,
+        converter.written,
+        converter.named,
+        converter.scale,
         _base(trial, roles),
         channels,
-        frozenset(made.declared),
-        (*notes, *unsure),
+        frozenset(converter.declared),
+        (*notes, *gap_notes),
     )
 
 
-def _changed(after: dict[int, np.ndarray], before: dict[int, np.ndarray]) -> bool:
+def _has_changed(after: dict[int, np.ndarray], before: dict[int, np.ndarray]) -> bool:
     return any(not np.array_equal(after[j], x, equal_nan=True) for j, x in before.items())
 
 
@@ -193,16 +198,16 @@ def _without_turns(
     trial: RawTrial, names: ModelNames, seconds: np.ndarray, angles: dict[int, np.ndarray]
 ) -> tuple[dict[int, np.ndarray], list[str]]:
     """Angles without jumps of whole turns, and notes on gaps in which more may be hidden."""
-    whole, notes = dict(angles), []
+    unwrapped, notes = dict(angles), []
     for j, q in angles.items():
         if names.joints[j] not in names.slides:
-            counted = turns_of(seconds, q)
-            whole[j] = counted.q
-            notes += _unsure(trial.name, names.joints[j], seconds, counted)
-    return whole, notes
+            turns = turns_of(seconds, q)
+            unwrapped[j] = turns.q
+            notes += _gap_notes(trial.name, names.joints[j], seconds, turns)
+    return unwrapped, notes
 
 
-def _unsure(trial: str, joint: str, seconds: np.ndarray, turns: Turns) -> tuple[str, ...]:
+def _gap_notes(trial: str, joint: str, seconds: np.ndarray, turns: Turns) -> tuple[str, ...]:
     """A note on gaps in which an angle that wraps may have turned further than can be told."""
     if not turns.unsure:
         return ()
@@ -217,24 +222,24 @@ def also_there(trial: RawTrial, stem: str, joint: str) -> str:
     """What to say of a trial's other columns where one is missing: it may be among them by another
     name.
     """
-    some = [name for name in trial.ignored if name.strip()]
-    if not some:
+    ignored = [name for name in trial.ignored if name.strip()]
+    if not ignored:
         return ""
-    named = f"{', '.join(some[:6])}{', ...' if len(some) > 6 else ''}"
+    listed = f"{', '.join(ignored[:6])}{', ...' if len(ignored) > 6 else ''}"
     mend = f'write {stem}_{joint} = "..." under [columns], {stem} = "..." for lists of all'
-    return f" (also there: {named}; if it is one of these, {mend})"
+    return f" (also there: {listed}; if it is one of these, {mend})"
 
 
-def _place(found: Role, zero_based: bool) -> int | str:
+def _actuator_key(column_role: Role, zero_based: bool) -> int | str:
     """The index or the name of the actuator that a column of commands speaks of."""
-    if isinstance(found.joint, str):
-        return found.joint
-    if found.joint is not None:
-        return found.joint - (not zero_based)
+    if isinstance(column_role.joint, str):
+        return column_role.joint
+    if column_role.joint is not None:
+        return column_role.joint - (not zero_based)
     return 0
 
 
-def _actuator(place: int | str, names: ModelNames) -> str:
+def _actuator_name(place: int | str, names: ModelNames) -> str:
     """The name of the actuator at this place, '' where the model's are not known."""
     actuators = names.actuators or ()
     if isinstance(place, str):
@@ -248,22 +253,26 @@ def _base(trial: RawTrial, roles: dict[str, Role]) -> np.ndarray | None:
     """`[T, 7]` m and a unit quaternion whose sign does not jump. Raises `BadInput` where a column
     of them is missing.
     """
-    named = {str(found.joint): name for name, found in roles.items() if found.stem == "base"}
-    if not named:
+    column_of = {
+        str(column_role.joint): name
+        for name, column_role in roles.items()
+        if column_role.stem == "base"
+    }
+    if not column_of:
         return None
-    if missing := [name for name in BASE if name not in named]:
+    if missing := [name for name in BASE if name not in column_of]:
         raise BadInput(
-            f"{trial.path}: has base_{next(iter(named))}, but no base_{missing[0]}; add it, or "
+            f"{trial.path}: has base_{next(iter(column_of))}, but no base_{missing[0]}; add it, or "
             "ignore all of them"
         )
-    pose = np.stack([trial.columns[named[name]] for name in BASE], 1)
-    size = np.linalg.norm(pose[:, 3:], axis=1)
-    if bad := np.flatnonzero(np.abs(size - 1.0) > TABLE.unit_quaternion).tolist():
+    pose = np.stack([trial.columns[column_of[name]] for name in BASE], 1)
+    norm = np.linalg.norm(pose[:, 3:], axis=1)
+    if not_unit := np.flatnonzero(np.abs(norm - 1.0) > TABLE.max_norm_error).tolist():
         raise BadInput(
-            f"{trial.path}: {trial.row_word} {trial.lines[bad[0]]}: base_qw .. base_qz have length "
-            f"{size[bad[0]]:.3g}; write unit quaternions"
+            f"{trial.path}: {trial.row_word} {trial.lines[not_unit[0]]}: base_qw .. base_qz have "
+            f"length {norm[not_unit[0]]:.3g}; write unit quaternions"
         )
-    pose[:, 3:] /= size[:, None]
+    pose[:, 3:] /= norm[:, None]
     products = np.sum(pose[1:, 3:] * pose[:-1, 3:], 1)
     flips = np.cumprod(np.sign(products) + (products == 0))
     pose[1:, 3:] *= flips[:, None]
@@ -274,16 +283,18 @@ def _zero_based(roles: Iterable[Role]) -> bool:
     return any(r.joint == 0 for r in roles)
 
 
-def _joint(trial: RawTrial, name: str, found: Role, names: ModelNames, zero_based: bool) -> int:
+def _joint_index(
+    trial: RawTrial, name: str, column_role: Role, names: ModelNames, zero_based: bool
+) -> int:
     """The index of the model's joint that a column belongs to."""
-    n, joint = len(names.joints), found.joint
+    n, joint = len(names.joints), column_role.joint
     if isinstance(joint, str):
         if joint in names.joints:
             return names.joints.index(joint)
         mend = f'rename it by [columns] in meta.toml, or write ignore = ["{joint}"]'
-        near = nearest(joint, names.joints)
-        if near:
-            hint = f"did you mean '{near}'?"
+        suggestion = nearest(joint, names.joints)
+        if suggestion:
+            hint = f"did you mean '{suggestion}'?"
         else:
             hint = f"it has {', '.join(names.joints)};"
         raise BadInput(

@@ -52,19 +52,19 @@ def read_lerobot(folder: Path, wanted: Wanted) -> list[RawTrial]:
     files = sorted((folder / "data").rglob("*.parquet"))
     if not files:
         raise BadInput(f"{folder}: holds no data/**/*.parquet; download the data set whole")
-    every = (*STEMS, "timestamp", "frame_index", "episode_index")
-    columns = [name for name in every if name in features]
+    wanted_names = (*STEMS, "timestamp", "frame_index", "episode_index")
+    columns = [name for name in wanted_names if name in features]
     parts: dict[int, list[tuple[Path, dict[str, np.ndarray]]]] = {}
     for path in files:
         for episode, table in _episodes(path, parquet, columns):
             parts.setdefault(episode, []).append((path, table))
     fps = info.get("fps")
 
-    def bare(e):
+    def empty_trial(e):
         return RawTrial(_name(e), str(parts[e][0][0]), {}, np.zeros(0, np.int64))
 
     return [
-        bare(episode)
+        empty_trial(episode)
         if wanted.out(_name(episode))
         else _trial(folder, episode, parts[episode], features, fps)
         for episode in sorted(parts)
@@ -85,8 +85,8 @@ def check_named(path: Path, trial: RawTrial, joints: Sequence[str]) -> None:
         columns = [name for name in trial.columns if name.startswith(f"{stem}_")]
         numbered = [name for name in columns if re.fullmatch(rf"{stem}_\d+", name)]
         count = sum(name[len(stem) + 1 :] not in joints for name in numbered)
-        named = len(columns) > len(numbered)
-        if joints and count not in (0, len(joints)) and not named:
+        has_names = len(columns) > len(numbered)
+        if joints and count not in (0, len(joints)) and not has_names:
             raise BadInput(
                 f"{path}/meta/info.json: {vector} has {count} numbers without names, the model "
                 f"{len(joints)} joint(s); write names "
@@ -94,16 +94,16 @@ def check_named(path: Path, trial: RawTrial, joints: Sequence[str]) -> None:
                 f"[columns] and {stem}_{joints[0]} = "
                 f'"{stem}_K", K from 1 to {count}, and ignore the others'
             )
-    for vector in trial.doubt:
-        own = [name for name in trial.columns if name.startswith(f"{vector}[")]
-        width = int(own[-1].rpartition("[")[2][:-1]) + 1 if own else 0
+    for vector in trial.name_problems:
+        place_columns = [name for name in trial.columns if name.startswith(f"{vector}[")]
+        width = int(place_columns[-1].rpartition("[")[2][:-1]) + 1 if place_columns else 0
         stem = STEMS[vector]
-        if not own or any(name.startswith(f"{stem}_") for name in trial.columns):
+        if not place_columns or any(name.startswith(f"{stem}_") for name in trial.columns):
             continue  # some have been given by [columns]: the others are left
         first = next(iter(joints), "JOINT")
         raise BadInput(
-            f"{path}/meta/info.json: {trial.doubt[vector]}; write all {width} names there, in "
-            f"the order of the numbers, or say in "
+            f"{path}/meta/info.json: {trial.name_problems[vector]}; write all {width} names there, "
+            f"in the order of the numbers, or say in "
             f'meta.toml which number is which: [columns] and {stem}_{first} = "{vector}[K]", K '
             f"from 0 to {width - 1}"
         )
@@ -160,35 +160,45 @@ def _trial(folder: Path, episode: int, parts: list, features: dict, fps: Any) ->
         time = np.arange(count) / fps
         notes = (f"no timestamps: rows taken {fps:g} times a second, as info.json says",)
     rows, word = np.arange(1, count + 1), f"episode {episode}, row"
-    if (bad := np.flatnonzero(~np.isfinite(time))).size:
+    if (not_finite := np.flatnonzero(~np.isfinite(time))).size:
         raise BadInput(
-            f"{path}: {word} {rows[bad[0]]}: timestamp is {time[bad[0]]:g}; remove such rows"
+            f"{path}: {word} {rows[not_finite[0]]}: timestamp is {time[not_finite[0]]:g}; remove "
+            "such rows"
         )
     check_clock(path, time, rows, word)
     columns = {"time": time}
     if "frame_index" in arrays:
         columns["frame_index"] = arrays["frame_index"].ravel()
-    doubt: dict[str, str] = {}
+    name_problems: dict[str, str] = {}
     for name, stem in STEMS.items():
         if name in arrays:
             values = arrays[name].reshape(count, -1)
             feature, width = features.get(name, {}), values.shape[1]
             if (names := _names(feature, width)) is not None:
-                columns |= _named(stem, names, values)
+                columns |= _named_columns(stem, names, values)
                 continue
-            written = _written(feature)
+            names_in_info = _names_in_info(feature)
             # numbers of joints; where info.json names others, names that only [columns] makes
             # joints of
             columns |= {
-                f"{name}[{k}]" if written else f"{stem}_{k + 1}": values[:, k] for k in range(width)
+                f"{name}[{k}]" if names_in_info else f"{stem}_{k + 1}": values[:, k]
+                for k in range(width)
             }
-            if not written:
+            if not names_in_info:
                 notes = (*notes, f"{name} has no names: taken in the model's order of joints")
             else:
-                stated = ", ".join(dict.fromkeys(map(str, written)))
-                doubt[name] = f"names {len(written)} of the {width} numbers of {name} ({stated})"
+                names_text = ", ".join(dict.fromkeys(map(str, names_in_info)))
+                name_problems[name] = (
+                    f"names {len(names_in_info)} of the {width} numbers of {name} ({names_text})"
+                )
     return RawTrial(
-        _name(episode), str(path), columns, np.arange(1, count + 1), "row", notes=notes, doubt=doubt
+        _name(episode),
+        str(path),
+        columns,
+        np.arange(1, count + 1),
+        "row",
+        notes=notes,
+        name_problems=name_problems,
     )
 
 
@@ -196,13 +206,13 @@ def _names(feature: Any, width: int) -> list[str] | None:
     """The names of a vector's entries; None where info.json has none, or where they are not the
     entries' (another number of them, or twice the same).
     """
-    names = _written(feature)
+    names = _names_in_info(feature)
     if len(names) == width == len({name for name in names if isinstance(name, str)}):
         return names
     return None
 
 
-def _written(feature: Any) -> list[Any]:
+def _names_in_info(feature: Any) -> list[Any]:
     """The names that info.json has, fit or not, in the order of the entries: a list of them, lists
     of groups, or each with its place.
     """
@@ -220,17 +230,17 @@ def _leaves(names: Any) -> list[Any]:
     return [names]
 
 
-def _named(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
+def _named_columns(stem: str, names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
     out = {}
     for j, name in enumerate(names):
         end = next((e for e in ENDS if name.endswith(e)), "")
-        here = ENDS.get(end, "q")
+        quantity = ENDS.get(end, "q")
         if stem == "target":  # what an action says of speeds and torques is no position target
-            key = {"q": "target", "v": "ctrl", "tau": "tau"}[here]
-            after = "_commanded" if here == "tau" else ""
+            key = {"q": "target", "v": "ctrl", "tau": "tau"}[quantity]
+            suffix = "_commanded" if quantity == "tau" else ""
         else:
-            key, after = (here if end and stem == "q" else stem), ""
-        out[f"{key}_{name.removesuffix(end)}{after}"] = values[:, j]
+            key, suffix = (quantity if end and stem == "q" else stem), ""
+        out[f"{key}_{name.removesuffix(end)}{suffix}"] = values[:, j]
     return out
 
 

@@ -26,21 +26,21 @@ class ActuatorName:
 
     - `kind`: Motor, position, velocity, general, dcmotor, tendon (on several joints), other (on
       none: a site, a body) or off (the file disables it).
-    - `moves`: All joints that it drives, those tied to them included.
-    - `per_angle`, `at_zero`: What a servo must be told to go to an angle `q` (rad, m):
+    - `moved_joints`: All joints that it drives, those coupled to them included.
+    - `per_angle`, `at_zero`: What a servo must be commanded to go to an angle `q` (rad, m):
       `at_zero + per_angle q`, by its gear, gain and bias.
     """
 
     name: str
     joint: str
     kind: str = "motor"
-    moves: tuple[str, ...] = ()
+    moved_joints: tuple[str, ...] = ()
     per_angle: float = 1.0
     at_zero: float = 0.0
 
     @property
     def joints(self) -> tuple[str, ...]:
-        return self.moves or ((self.joint,) if self.joint else ())
+        return self.moved_joints or ((self.joint,) if self.joint else ())
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class ModelNames:
     - `parents`: For each joint the index of the joint before it in the tree, -1 for none (empty: a
       serial chain).
     - `actuators`: In the model's order, None where nothing is known of them.
-    - `tied`: Joints that go with others, and with which.
+    - `coupled`: Joints that go with others, and with which.
     - `ranges`: Of each joint in rad or m, None where it has none (empty: not known).
     """
 
@@ -60,10 +60,10 @@ class ModelNames:
     slides: tuple[str, ...] = ()
     parents: tuple[int, ...] = ()
     actuators: tuple[ActuatorName, ...] | None = None
-    tied: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    coupled: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     ranges: tuple[tuple[float, float] | None, ...] = ()
 
-    def turns_to(self, joint: int) -> bool:
+    def is_angle_target(self, joint: int) -> bool:
         """Whether a target of a joint is an angle: not where it slides, nor where all that drives
         it takes speeds or torques.
         """
@@ -83,21 +83,21 @@ class ModelNames:
         """`parents`, those of a serial chain where none are given."""
         return self.parents or tuple(range(-1, len(self.joints) - 1))
 
-    def only(self, selected: Sequence[int]) -> ModelNames:
-        """The same of the joints with these numbers."""
-        place = {j: i for i, j in enumerate(selected)}
+    def only(self, indices: Sequence[int]) -> ModelNames:
+        """Return the names of the joints with these numbers alone."""
+        new_index = {j: i for i, j in enumerate(indices)}
 
         def before(j: int) -> int:
             while (j := self.parent_of[j]) >= 0:
-                if j in place:
-                    return place[j]
+                if j in new_index:
+                    return new_index[j]
             return -1
 
-        joints = tuple(self.joints[j] for j in selected)
+        joints = tuple(self.joints[j] for j in indices)
         slides = tuple(s for s in self.slides if s in joints)
-        parents = tuple(before(j) for j in selected)
-        ranges = tuple(self.ranges[j] for j in selected if self.ranges)
-        return ModelNames(joints, slides, parents, self.actuators, self.tied, ranges)
+        parents = tuple(before(j) for j in indices)
+        ranges = tuple(self.ranges[j] for j in indices if self.ranges)
+        return ModelNames(joints, slides, parents, self.actuators, self.coupled, ranges)
 
 
 @dataclass(frozen=True)
@@ -138,20 +138,20 @@ class LogTrial:
 
     def rows(self, start: int, stop: int) -> LogTrial:
         """The trial's rows `start` to `stop` (exclusive)."""
-        part = slice(start, stop)
-        v = None if self.v is None else self.v[part]
-        extra = {name: values[part] for name, values in self.extra.items()}
-        base = None if self.base is None else self.base[part]
-        read = {name: values[part] for name, values in self.channels.items()}
+        rows = slice(start, stop)
+        v = None if self.v is None else self.v[rows]
+        extra = {name: values[rows] for name, values in self.extra.items()}
+        base = None if self.base is None else self.base[rows]
+        channels = {name: values[rows] for name, values in self.channels.items()}
         return replace(
             self,
-            time=self.time[part],
-            q=self.q[part],
+            time=self.time[rows],
+            q=self.q[rows],
             v=v,
-            u=self.u[part],
+            u=self.u[rows],
             extra=extra,
             base=base,
-            channels=read,
+            channels=channels,
         )
 
 
@@ -166,7 +166,7 @@ class Log:
     - `held`: Joints that stand still in all trials, or that `[hold]` names, and where they were
       (None: nothing was logged). They are not among `joint_names`.
     - `input_columns [m]`: The column that each actuator's command was read from.
-    - `unlike`: Joints whose followers do not follow as the model says.
+    - `mismatched_leaders`: Joints whose followers do not follow as the model says.
     """
 
     path: str
@@ -179,7 +179,7 @@ class Log:
     notes: tuple[str, ...] = ()
     held: dict[str, float | None] = field(default_factory=dict)
     input_columns: tuple[str, ...] = ()
-    unlike: tuple[str, ...] = ()
+    mismatched_leaders: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -195,7 +195,7 @@ class Log:
 
     def without(self, names: Sequence[str]) -> Log:
         """The log without these trials. BadInput where one is not there, or none would be left."""
-        check_left_out(self.path, [trial.name for trial in self.trials], names)
+        check_excluded(self.path, [trial.name for trial in self.trials], names)
         return replace(self, trials=tuple(t for t in self.trials if t.name not in names))
 
     def column(self, stem: str, joint: str) -> str:
@@ -205,13 +205,13 @@ class Log:
         return f"{stem}_{joint}"
 
 
-def check_left_out(path: str, known: Sequence[str], names: Sequence[str]) -> None:
-    """BadInput where a trial to leave out is not there, or none would be left."""
-    if unknown := [name for name in names if name not in known]:
+def check_excluded(path: str, existing: Sequence[str], names: Sequence[str]) -> None:
+    """Raise BadInput where a trial to leave out is not there, or none would be left."""
+    if unknown := [name for name in names if name not in existing]:
         raise BadInput(
-            f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(known)}"
+            f"{path}: no trial is named {unknown[0]!r}; --without takes of {', '.join(existing)}"
         )
-    if not set(known) - set(names):
+    if not set(existing) - set(names):
         raise BadInput(f"{path}: --without names every trial; leave some")
 
 
@@ -223,54 +223,63 @@ def model_names(source: Source) -> ModelNames:
 
     from adaptsim_jax.mechanisms.roles import (
         BALL,
+        BALL_AXES,
         FREE,
-        JOINTS,
-        TURNS,
+        JOINT_TRANSMISSIONS,
+        coupled_joints,
         joint_names,
         tendon_joints,
-        ties,
     )
     from adaptsim_jax.mechanisms.switches import is_off
 
     model = source.model
     joints = joint_names(model)
-    tied = ties(source)
+    coupled = coupled_joints(source)
     slide = int(mujoco.mjtJoint.mjJNT_SLIDE)
     slides = [model.joint(k).name for k in range(model.njnt) if model.jnt_type[k] == slide]
     parents, ranges, last = [], [], {0: -1}
     for b in range(1, model.nbody):
-        on = last[int(model.body_parentid[b])]
+        parent = last[int(model.body_parentid[b])]
         for k in range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b]):
-            for _ in range({BALL: len(TURNS), FREE: 0}.get(int(model.jnt_type[k]), 1)):
-                parents.append(on)
-                single = model.jnt_limited[k] and model.jnt_type[k] != BALL
-                ranges.append(tuple(map(float, model.jnt_range[k])) if single else None)
-                on = len(parents) - 1
-        last[b] = on
+            for _ in range({BALL: len(BALL_AXES), FREE: 0}.get(int(model.jnt_type[k]), 1)):
+                parents.append(parent)
+                has_range = model.jnt_limited[k] and model.jnt_type[k] != BALL
+                ranges.append(tuple(map(float, model.jnt_range[k])) if has_range else None)
+                parent = len(parents) - 1
+        last[b] = parent
     actuators = []
     for k in range(model.nu):
         trn, target = int(model.actuator_trntype[k]), int(model.actuator_trnid[k, 0])
-        off = is_off(model, k)
-        moved = [model.joint(target).name] if trn in JOINTS and not off else []
-        if trn == int(mujoco.mjtTrn.mjTRN_TENDON) and not off:
-            moved = [model.joint(k).name for k in tendon_joints(model, target)]
-        moves = tuple(
+        is_disabled = is_off(model, k)
+        targets = (
+            [model.joint(target).name] if trn in JOINT_TRANSMISSIONS and not is_disabled else []
+        )
+        if trn == int(mujoco.mjtTrn.mjTRN_TENDON) and not is_disabled:
+            targets = [model.joint(k).name for k in tendon_joints(model, target)]
+        moved_joints = tuple(
             dict.fromkeys(
-                other for name in moved for other in (name, *tied.get(name, ())) if other in joints
+                other
+                for name in targets
+                for other in (name, *coupled.get(name, ()))
+                if other in joints
             )
         )
-        if off:
+        if is_disabled:
             kind = "off"
-        elif trn in JOINTS:
+        elif trn in JOINT_TRANSMISSIONS:
             kind = _kind(model, k)
-        elif moves:
+        elif moved_joints:
             kind = "tendon"
         else:
             kind = "other"
-        joint = moves[0] if moves else ""
-        scale = _command_at(model, k) if kind in ("position", "general") else (1.0, 0.0)
-        actuators.append(ActuatorName(model.actuator(k).name, joint, kind, moves, *scale))
-    return ModelNames(joints, tuple(slides), tuple(parents), tuple(actuators), tied, tuple(ranges))
+        joint = moved_joints[0] if moved_joints else ""
+        command_scale = _command_at(model, k) if kind in ("position", "general") else (1.0, 0.0)
+        actuators.append(
+            ActuatorName(model.actuator(k).name, joint, kind, moved_joints, *command_scale)
+        )
+    return ModelNames(
+        joints, tuple(slides), tuple(parents), tuple(actuators), coupled, tuple(ranges)
+    )
 
 
 def _kind(model, k: int) -> str:
@@ -304,44 +313,48 @@ def _command_at(model, k: int) -> tuple[float, float]:
     return bias * gear / gain, float(-model.actuator_biasprm[k, 0] / gain)
 
 
-def followed(log: Log, mechanism: Mechanism) -> Log:
-    """The log with the mechanism's joints alone, in its order."""
+def restrict_log(log: Log, mechanism: Mechanism) -> Log:
+    """Restrict a log to the mechanism's joints, in its order."""
     joints = mechanism.tree.joint_names
     if joints == log.joint_names:
         return log
-    where = {name: j for j, name in enumerate(log.joint_names)}
-    at = [where[name] for name in joints]
+    index_of = {name: j for j, name in enumerate(log.joint_names)}
+    indices = [index_of[name] for name in joints]
     if mechanism.roles:
-        followers = [f for f in mechanism.roles.followers.values() if f.joint in where]
+        followers = [f for f in mechanism.roles.followers.values() if f.joint in index_of]
     else:
         followers = []
-    commanded = log.input_kind == "command"
+    is_commanded = log.input_kind == "command"
 
-    def trial(t: LogTrial) -> LogTrial:
+    def restrict(t: LogTrial) -> LogTrial:
         u = t.u
-        if not commanded and log.input_kind != "none":
-            u = t.u[:, at].copy()
+        if not is_commanded and log.input_kind != "none":
+            u = t.u[:, indices].copy()
             for f in followers:
-                u[:, joints.index(f.leader)] += f.factor * t.u[:, where[f.joint]]
-        extra = {stem: values[:, at] for stem, values in t.extra.items()}
-        return replace(t, q=t.q[:, at], v=None if t.v is None else t.v[:, at], u=u, extra=extra)
+                u[:, joints.index(f.leader)] += f.factor * t.u[:, index_of[f.joint]]
+        extra = {stem: values[:, indices] for stem, values in t.extra.items()}
+        return replace(
+            t, q=t.q[:, indices], v=None if t.v is None else t.v[:, indices], u=u, extra=extra
+        )
 
-    reported, unlike = [], []
+    notes, mismatched_leaders = [], []
     for f in followers:
-        own = np.concatenate([t.q[:, where[f.joint]] for t in log.trials])
-        led = f.offset + f.factor * np.concatenate([t.q[:, where[f.leader]] for t in log.trials])
-        separate, span = np.nanmax(np.abs(own - led)), np.nanmax(own) - np.nanmin(own)
-        if separate > UNIT.follower * span:
-            reported.append(
-                f"{f.joint} does not follow {f.leader} as the model says: by up to {separate:.2g} "
+        angle = np.concatenate([t.q[:, index_of[f.joint]] for t in log.trials])
+        expected = f.offset + f.factor * np.concatenate(
+            [t.q[:, index_of[f.leader]] for t in log.trials]
+        )
+        deviation, span = np.nanmax(np.abs(angle - expected)), np.nanmax(angle) - np.nanmin(angle)
+        if deviation > UNIT.follower_tolerance * span:
+            notes.append(
+                f"{f.joint} does not follow {f.leader} as the model says: by up to {deviation:.2g} "
                 f"of {span:.2g}; nothing is named at {f.leader}"
             )
-            unlike.append(f.leader)
+            mismatched_leaders.append(f.leader)
     used = {*joints, *(f.joint for f in followers)}
-    left = [name for name in log.joint_names if name not in used]
-    if left:
-        reported.append(f"angles of joints that are held are not used: {', '.join(left)}")
-    if commanded or log.input_kind == "none":
+    unused = [name for name in log.joint_names if name not in used]
+    if unused:
+        notes.append(f"angles of joints that are held are not used: {', '.join(unused)}")
+    if is_commanded or log.input_kind == "none":
         names = log.input_names
     else:
         names = joints
@@ -349,9 +362,9 @@ def followed(log: Log, mechanism: Mechanism) -> Log:
     return replace(
         log,
         joint_names=joints,
-        trials=tuple(map(trial, log.trials)),
+        trials=tuple(map(restrict, log.trials)),
         input_names=names,
         driven=driven,
-        notes=(*log.notes, *reported),
-        unlike=tuple(unlike),
+        notes=(*log.notes, *notes),
+        mismatched_leaders=tuple(mismatched_leaders),
     )

@@ -15,7 +15,15 @@ import numpy as np
 from adaptsim_jax.core.config import read, suggest
 from adaptsim_jax.core.errors import BadInput, brief
 from adaptsim_jax.logs.columns import CHANNEL, NANOS, TIME
-from adaptsim_jax.logs.declared import TEXT_KEYS, choice, known, not_negative, number, tables, text
+from adaptsim_jax.logs.declared import (
+    TEXT_KEYS,
+    check_keys,
+    choice,
+    not_negative,
+    number,
+    tables,
+    text,
+)
 from adaptsim_jax.logs.log_units import Unit, check_unit
 
 V = TypeVar("V")
@@ -149,14 +157,14 @@ def read_log_meta(path: str | Path) -> LogMeta:
         path,
         'missing; write one with task = "mechanism" and model = "robot.xml", or run adaptsim init',
     )
-    known(path, raw, KEYS)
+    check_keys(path, raw, KEYS)
     if raw.get("task") != "mechanism":
         what = f"is {brief(raw['task'])}" if "task" in raw else "is missing"
         raise BadInput(f'{path}: task {what}; write task = "mechanism" for a log of any mechanism')
     table = tables(path, raw, TABLES)
-    angles = known(path, table["angles"], ANGLE_KEYS, "angles")
-    commands = known(path, table["commands"], COMMAND_KEYS, "commands")
-    trials = known(path, table["trials"], TRIAL_KEYS, "trials")
+    angles = check_keys(path, table["angles"], ANGLE_KEYS, "angles")
+    commands = check_keys(path, table["commands"], COMMAND_KEYS, "commands")
+    trials = check_keys(path, table["trials"], TRIAL_KEYS, "trials")
     convention = angles.get("convention", {})
     if isinstance(convention, str):
         convention = {"": convention}
@@ -211,7 +219,7 @@ def _positive(path: Path, key: str, value: Any, example: str) -> float | None:
 
 
 def _ros(path: Path, table: dict) -> dict[str, str | Sequence[str]]:
-    known(path, table, ROS_KEYS, "ros")
+    check_keys(path, table, ROS_KEYS, "ros")
     choice(path, table, "trajectory", TRAJECTORY)
     return {
         key: _texts(path, f"ros.{key}", value)

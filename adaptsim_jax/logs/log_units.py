@@ -85,7 +85,7 @@ class Affine:
     count: float | None = None
 
     def of(self, written: np.ndarray) -> np.ndarray:
-        """In SI units."""
+        """Convert values as written to SI units."""
         if self.offset:
             return written * self.scale + self.offset
         return written * self.scale
@@ -112,10 +112,10 @@ def check_unit(path: Path, key: str, value: Any) -> Unit:
     name = spelt(value)
     if name in (PERCENT, "%", "percents"):
         return PERCENT
-    known = QUANTITIES.get(key, _EVERY)
-    if name not in known:
+    valid = QUANTITIES.get(key, _EVERY)
+    if name not in valid:
         raise BadInput(
-            f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(known))}"
+            f"{path}: units.{key} = {brief(value)} is unknown; {suggest(name, tuple(valid))}"
         )
     return name
 
@@ -124,12 +124,12 @@ def spelt(text: str) -> str:
     """A unit as the tables above spell it; what is none of them nearly as it was: `Degrees/sec` is
     `deg/s`, `N·m` is `Nm`.
     """
-    bare = (
+    plain_text = (
         re.sub(r"(?<=[a-z])\s*[.*·]?\s*s(?:\^?-1|⁻¹)$", "/s", text.strip())
         .replace("µ", "u")
         .replace("μ", "u")
     )
-    words = "".join(c for c in bare if c not in " *.·").split("/")
+    words = "".join(c for c in plain_text if c not in " *.·").split("/")
     name = "/".join(SPELT.get(w, SPELT.get(w.casefold(), w)) for w in words)
     name = {"rev/min": "rpm"}.get(name, name)
     if name in _EVERY or len(name) == 1:
@@ -184,35 +184,35 @@ def _affine(path: Path, key: str, value: Any) -> Affine:
             return [finite(x) for x in table[name]]
         return [None]
 
-    def one(name, default):
+    def number_at(name, default):
         return finite(table.get(name, default))
 
-    made: Affine | None = None
+    affine: Affine | None = None
     if (
         set(table) <= {"scale", "offset"}
-        and (scale := one("scale", None))
-        and (shift := one("offset", 0.0)) is not None
+        and (scale := number_at("scale", None))
+        and (shift := number_at("offset", 0.0)) is not None
     ):
-        made = Affine(scale, shift)
+        affine = Affine(scale, shift)
     elif set(table) == {"percent"} and None not in (to := pair("percent")):
-        made = _between([0.0, 100.0], to)
+        affine = _between([0.0, 100.0], to)
     elif (
         set(table) == {"from", "to"}
         and None not in (ends := pair("from"))
         and None not in (to := pair("to"))
     ):
-        made = _between(ends, to)
+        affine = _between(ends, to)
     elif (
         set(table) <= {"ticks", "zero"}
-        and (ticks := one("ticks", None))
-        and (zero := one("zero", 0.0)) is not None
+        and (ticks := number_at("ticks", None))
+        and (zero := number_at("zero", 0.0)) is not None
     ):
-        made = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks, ticks)
-    if made is None or not math.isfinite(made.scale) or made.scale == 0.0:
+        affine = Affine(2.0 * math.pi / ticks, -2.0 * math.pi * zero / ticks, ticks)
+    if affine is None or not math.isfinite(affine.scale) or affine.scale == 0.0:
         raise BadInput(
             f"{path}: units.{key} = {brief(value)} is no unit; write one in quotes, {FORMS}"
         )
-    return made
+    return affine
 
 
 def _between(ends: list, to: list) -> Affine | None:
@@ -302,13 +302,13 @@ def _as_angle(stem: str, words: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _of_range(where: str, word: str, limits: tuple[float, float] | None) -> Affine:
-    made = _between([0.0, 100.0], list(limits)) if limits else None
-    if made is None:
+    affine = _between([0.0, 100.0], list(limits)) if limits else None
+    if affine is None:
         raise BadInput(
             f"{where} is in per cent of a range that the model does not declare; write {word} = "
             f"{{percent = [LOW, HIGH]}}, what 0 and 100 are in rad or m, under [units]"
         )
-    return made
+    return affine
 
 
 def _fits(units: Mapping[str, Unit], word: str, quantity: str) -> bool:

@@ -44,14 +44,14 @@ def _joint_state(m: Any) -> Fields:
 
 def _joint_states(m: Any) -> Fields:
     joints = list(getattr(m, "joints", ()))
-    stated: dict[str, np.ndarray] = {}
+    values: dict[str, np.ndarray] = {}
     for field, stem in FIELDS.items():
-        if any(_given(joint, field) for joint in joints):
-            stated[stem] = np.array([_number(getattr(joint, field, None)) for joint in joints])
-    return tuple(joint.name for joint in joints), stated
+        if any(_has_field(joint, field) for joint in joints):
+            values[stem] = np.array([_number(getattr(joint, field, None)) for joint in joints])
+    return tuple(joint.name for joint in joints), values
 
 
-def _given(joint: Any, field: str) -> bool:
+def _has_field(joint: Any, field: str) -> bool:
     """Whether a joint has the field: in protobuf a field that may be left out is 0 where it is."""
     try:
         return joint.HasField(field)
@@ -60,21 +60,21 @@ def _given(joint: Any, field: str) -> bool:
 
 
 def _dynamic(m: Any) -> Fields:
-    stated = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
+    readings = {stem: np.full(len(m.joint_names), np.nan) for stem in FIELDS.values()}
     for j, values in enumerate(m.interface_values):
         for name, value in zip(values.interface_names, values.values, strict=False):
             if name in FIELDS:
-                stated[FIELDS[name]][j] = value
-    return tuple(m.joint_names), {stem: x for stem, x in stated.items() if np.isfinite(x).any()}
+                readings[FIELDS[name]][j] = value
+    return tuple(m.joint_names), {stem: x for stem, x in readings.items() if np.isfinite(x).any()}
 
 
 def _actual(m: Any) -> Fields:
     point = _point(m, ("feedback", "actual"))
     if point is not None:
-        stated = {"q": point.positions, "v": point.velocities, "tau": point.effort}
+        values = {"q": point.positions, "v": point.velocities, "tau": point.effort}
     else:
-        stated = {}
-    return tuple(m.joint_names), {stem: _numbers(x) for stem, x in stated.items()}
+        values = {}
+    return tuple(m.joint_names), {stem: _numbers(x) for stem, x in values.items()}
 
 
 def _desired(m: Any) -> Fields:
@@ -91,14 +91,14 @@ def _point(m: Any, names: tuple[str, ...]) -> Any:
 
 
 def _commanded(m: Any) -> Fields:
-    names, stated = _joint_state(m)
-    return names, {"target": stated["q"]} if len(stated["q"]) else {"tau_commanded": stated["tau"]}
+    names, values = _joint_state(m)
+    return names, {"target": values["q"]} if len(values["q"]) else {"tau_commanded": values["tau"]}
 
 
 def _commanded_states(m: Any) -> Fields:
-    names, stated = _joint_states(m)
-    return names, {"target": stated["q"]} if "q" in stated else {
-        "tau_commanded": stated.get("tau", ())
+    names, values = _joint_states(m)
+    return names, {"target": values["q"]} if "q" in values else {
+        "tau_commanded": values.get("tau", ())
     }
 
 
@@ -154,8 +154,8 @@ def in_model(topic: str, names: Sequence[str], joints: Collection[str]) -> tuple
     """
     if not set(names) & set(joints):
         for part in topic.split("/"):
-            if set(whole := tuple(f"{part}_{name}" for name in names)) <= set(joints):
-                return whole
+            if set(prefixed := tuple(f"{part}_{name}" for name in names)) <= set(joints):
+                return prefixed
     return tuple(names)
 
 
@@ -170,8 +170,8 @@ def stamp_of(message: Any) -> int:
 
 
 def nanoseconds(time: Any) -> int:
-    """Of a time or duration of ROS, JSON (also by ISO 8601) or protobuf, or a number of seconds; 0
-    for none.
+    """Convert a time or duration to ns: of ROS, JSON (also by ISO 8601) or protobuf, or a number of
+    seconds; 0 for none.
     """
     if time is None:
         return 0
@@ -199,115 +199,118 @@ def nanoseconds(time: Any) -> int:
 COMMAND_WORDS = ("command", "cmd", "desired", "target", "reference", "goal", "setpoint")
 
 
-Asked = Mapping[str, str | Sequence[str]]
+RosOptions = Mapping[str, str | Sequence[str]]
 """Of `[ros]`."""
 
 
-def topics_asked(options: Asked, key: str) -> tuple[str, ...]:
+def topics_named(options: RosOptions, key: str) -> tuple[str, ...]:
     """The topics that a key of `[ros]` names: one, or a list."""
-    named = options.get(key, ())
-    return (named,) if isinstance(named, str) else tuple(named)
+    value = options.get(key, ())
+    return (value,) if isinstance(value, str) else tuple(value)
 
 
 def choose(
     path: Path,
     topics: tuple[Topic, ...],
-    options: Asked,
-    knows: Callable[[Topic], set[str]] = lambda topic: set(),
+    options: RosOptions,
+    joints_known: Callable[[Topic], set[str]] = lambda topic: set(),
 ) -> tuple[tuple[Topic, ...], tuple[Topic, ...], tuple[str, ...]]:
     """The topics of the state and of the commands (maybe none), by `options` where these name them,
     and notes.
 
     Args:
-        knows: The joints of the model that a topic speaks of.
+        joints_known: The joints of the model that a topic speaks of.
     """
     by_name = {topic.name: topic for topic in topics}
     for key in ("state_topic", "command_topic"):
-        for name in topics_asked(options, key):
+        for name in topics_named(options, key):
             if name not in by_name:
                 raise BadInput(f"{path}: has no topic {name!r} ({key}); {suggest(name, by_name)}")
-    states, notes = _state_topics(path, topics, options, knows)
+    states, notes = _state_topics(path, topics, options, joints_known)
     foreign = [
         t
         for t in topics
         if t.encoding
         and t not in states
-        and (t.unread or not (_commands_of(t) or t.kind in STATES))
+        and (t.unread or not (_has_commands(t) or t.kind in STATES))
     ]
     if foreign:
         names = ", ".join(f"{t.name} ({t.kind or 'no type'}, {t.encoding})" for t in foreign)
         notes = (*notes, f"topics that hold no ROS messages, left out: {names}")
-    if wanted := topics_asked(options, "command_topic"):
-        commands = tuple(by_name[name] for name in wanted)
+    if command_names := topics_named(options, "command_topic"):
+        commands = tuple(by_name[name] for name in command_names)
         for command in commands:
-            if not _commands_of(command):
+            if not _has_commands(command):
                 raise BadInput(
-                    f"{path}: topic {command.name} is {_what(command)}; commands are read of "
-                    "JointState, JointTrajectory, JointTrajectoryControllerState, "
+                    f"{path}: topic {command.name} is {_description(command)}; commands are read "
+                    "of JointState, JointTrajectory, JointTrajectoryControllerState, "
                     "Float64MultiArray, Float64"
                 )
         return states, commands, notes
     if controllers := tuple(state for state in states if state.kind in CONTROLLERS):
-        taken = f"state and commands taken from the controller's topic {_listed(controllers)}"
-        return states, controllers, (*notes, taken)
-    others = [t for t in topics if t.count and t not in states and _commands_of(t)]
-    named = [t for t in others if t.kind in CONTROLLERS or _is_command(t)]
-    if named and len(taken := _of_other_joints(named, knows)) == len(named):
-        return states, taken, (*notes, f"commands taken from topic {_listed(taken)}")
-    if others:
+        note = f"state and commands taken from the controller's topic {_topic_names(controllers)}"
+        return states, controllers, (*notes, note)
+    command_topics = [t for t in topics if t.count and t not in states and _has_commands(t)]
+    candidates = [t for t in command_topics if t.kind in CONTROLLERS or _is_command(t)]
+    if candidates and len(taken := _with_other_joints(candidates, joints_known)) == len(candidates):
+        return states, taken, (*notes, f"commands taken from topic {_topic_names(taken)}")
+    if command_topics:
         notes = (
             *notes,
-            f"topics that may hold commands: {_listed(others)}; name one by command_topic, or a "
-            "list of them",
+            f"topics that may hold commands: {_topic_names(command_topics)}; name one by "
+            "command_topic, or a list of them",
         )
     return states, (), notes
 
 
-def _of_other_joints(
-    topics: Sequence[Topic], knows: Callable[[Topic], set[str]]
+def _with_other_joints(
+    topics: Sequence[Topic], joints_known: Callable[[Topic], set[str]]
 ) -> tuple[Topic, ...]:
     """The first topic, and those that speak of joints that none before them does, as those of
     several arms.
     """
-    taken, joints = [topics[0]], knows(topics[0]) if len(topics) > 1 else set()
+    chosen, joints = [topics[0]], joints_known(topics[0]) if len(topics) > 1 else set()
     for topic in topics[1:]:
-        own = knows(topic)
-        if own and not own & joints:
-            taken, joints = [*taken, topic], joints | own
-    return tuple(taken)
+        topic_joints = joints_known(topic)
+        if topic_joints and not topic_joints & joints:
+            chosen, joints = [*chosen, topic], joints | topic_joints
+    return tuple(chosen)
 
 
-def _listed(topics: Sequence[Topic]) -> str:
+def _topic_names(topics: Sequence[Topic]) -> str:
     return ", ".join(topic.name for topic in topics)
 
 
 def _state_topics(
-    path: Path, topics: tuple[Topic, ...], options: Asked, knows: Callable[[Topic], set[str]]
+    path: Path,
+    topics: tuple[Topic, ...],
+    options: RosOptions,
+    joints_known: Callable[[Topic], set[str]],
 ) -> tuple[tuple[Topic, ...], tuple[str, ...]]:
     """The topics of the state: those chosen, or of joint states, or of what else holds them; of
     several that of most joints of the model, then that with most messages, with those of other
     joints.
     """
-    asked = topics_asked(options, "command_topic")
-    if chosen := topics_asked(options, "state_topic"):
-        states = tuple(t for name in chosen for t in topics if t.name == name)
+    command_names = topics_named(options, "command_topic")
+    if state_names := topics_named(options, "state_topic"):
+        states = tuple(t for name in state_names for t in topics if t.name == name)
         for state in states:
             if state.kind not in STATES or state.unread:
                 raise BadInput(
-                    f"{path}: topic {state.name} is {_what(state)}; name one of "
+                    f"{path}: topic {state.name} is {_description(state)}; name one of "
                     "sensor_msgs/JointState"
                 )
         return states, ()
-    able = [t for t in topics if t.count and t.kind in STATES and not t.unread]
-    free = [t for t in able if t.name not in asked]
+    readable = [t for t in topics if t.count and t.kind in STATES and not t.unread]
+    not_commands = [t for t in readable if t.name not in command_names]
     states = (
-        [t for t in free if t.kind == STATE]
-        or [t for t in free if t.kind not in CONTROLLERS]
-        or free
-        or [t for t in able if t.kind in CONTROLLERS]
+        [t for t in not_commands if t.kind == STATE]
+        or [t for t in not_commands if t.kind not in CONTROLLERS]
+        or not_commands
+        or [t for t in readable if t.kind in CONTROLLERS]
     )
     if not states:
-        kinds = ", ".join(f"{topic.name} ({_what(topic)})" for topic in topics) or "none"
+        kinds = ", ".join(f"{topic.name} ({_description(topic)})" for topic in topics) or "none"
         raise BadInput(
             f"{path}: has no topic of sensor_msgs/JointState, nor of another message of joint "
             "states that is read (foxglove.JointStates in JSON or protobuf, DynamicJointState, "
@@ -315,22 +318,22 @@ def _state_topics(
         )
     measured = [topic for topic in states if not _is_command(topic)] or states
     if len(measured) > 1:
-        measured = sorted(measured, key=lambda t: (len(knows(t)), t.count), reverse=True)
-    taken = _of_other_joints(measured, knows)
-    reported = f"state taken from topic {_listed(taken)} of {_listed(measured)}"
-    if left := [topic for topic in measured if topic not in taken]:
-        reported += f", left out: {_listed(left)}; state_topic names others, or a list of them"
-    return taken, (reported,) if len(measured) > 1 else ()
+        measured = sorted(measured, key=lambda t: (len(joints_known(t)), t.count), reverse=True)
+    chosen = _with_other_joints(measured, joints_known)
+    note = f"state taken from topic {_topic_names(chosen)} of {_topic_names(measured)}"
+    if excluded := [topic for topic in measured if topic not in chosen]:
+        note += f", left out: {_topic_names(excluded)}; state_topic names others, or a list of them"
+    return chosen, (note,) if len(measured) > 1 else ()
 
 
-def _what(topic: Topic) -> str:
+def _description(topic: Topic) -> str:
     kind = topic.kind or "of several types"
     if topic.encoding:
         return f"{kind} in {topic.encoding}"
     return kind
 
 
-def _commands_of(topic: Topic) -> bool:
+def _has_commands(topic: Topic) -> bool:
     return not topic.unread and topic.kind in (*TRAJECTORIES, *COMMANDED)
 
 

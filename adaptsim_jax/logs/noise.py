@@ -25,15 +25,15 @@ def difference_noise(
     rows = [np.diff(z, order, axis=0) for z in parts]
     d = np.concatenate([z.reshape(-1, 1) for z in rows] if pooled else rows)
     out = np.zeros(d.shape[1:])
-    some = np.isfinite(d).any(0)
-    if not some.any():
+    has_rows = np.isfinite(d).any(0)
+    if not has_rows.any():
         return out
-    d = d[:, some]
+    d = d[:, has_rows]
     if robust:
-        size = np.nanmedian(np.abs(d), axis=0) / NORMAL
+        noise = np.nanmedian(np.abs(d), axis=0) / NORMAL
     else:
-        size = np.sqrt(np.nanmean(np.square(d), axis=0))
-    out[some] = size / np.sqrt(comb(2 * order, order))
+        noise = np.sqrt(np.nanmean(np.square(d), axis=0))
+    out[has_rows] = noise / np.sqrt(comb(2 * order, order))
     return out
 
 
@@ -41,17 +41,17 @@ ALIKE = 0.5  # of an encoder's step: with more noise than that few rows would re
 
 
 def sensor_noise(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """The same by medians, or by the mean square where most rows are rounded to one value: there at
-    most `ALIKE` of the encoder's step, since all else is motion. Never less than rounding to those
-    steps makes.
+    """Estimate the same by medians, or by the mean square where most rows are rounded to one value:
+    there at most `ALIKE` of the encoder's step, since all else is motion. Never less than rounding
+    to those steps makes.
     """
-    size, rows = difference_noise(parts), np.concatenate(parts)
-    shows = size > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)
+    noise, rows = difference_noise(parts), np.concatenate(parts)
+    is_noisy = noise > ROUNDING * np.max(np.abs(np.nan_to_num(rows)), axis=0)
     steps = [encoder_step(z) for z in rows.reshape(len(rows), -1).T]
     step = np.reshape(steps, rows.shape[1:])
-    most = np.where(step > 0.0, ALIKE * step, np.inf)
-    rounded = np.minimum(difference_noise(parts, robust=False), most)
-    return np.maximum(np.where(shows, size, rounded), step / np.sqrt(12.0))
+    max_noise = np.where(step > 0.0, ALIKE * step, np.inf)
+    rounded = np.minimum(difference_noise(parts, robust=False), max_noise)
+    return np.maximum(np.where(is_noisy, noise, rounded), step / np.sqrt(12.0))
 
 
 def encoder_step(z: np.ndarray) -> float:
@@ -60,8 +60,8 @@ def encoder_step(z: np.ndarray) -> float:
     """
     values = np.unique(z[np.isfinite(z)])
     gaps = np.diff(values)
-    steps = gaps[gaps > SIGNAL.written * np.ptp(values)] if len(gaps) else gaps
-    if not len(steps) or SIGNAL.rows_a_value * (len(steps) + 1) > len(z):
+    steps = gaps[gaps > SIGNAL.value_tolerance * np.ptp(values)] if len(gaps) else gaps
+    if not len(steps) or SIGNAL.min_rows_per_value * (len(steps) + 1) > len(z):
         return 0.0
     return float(np.min(steps))
 
@@ -76,25 +76,27 @@ def local_motion(
     """
     count = min(2 * half + 1, len(time))
     first = np.clip(np.arange(len(time)) - half, 0, len(time) - count)
-    near = first[:, None] + np.arange(count)
-    s = time[near] - time[:, None]
+    neighbours = first[:, None] + np.arange(count)
+    s = time[neighbours] - time[:, None]
     width = np.abs(s).max(1, keepdims=True)
     powers = (s / width)[..., None] ** np.arange(4)
-    design, target = powers, q[near]
+    design, target = powers, q[neighbours]
     if v is not None:
         slopes = np.concatenate(
             [np.zeros_like(powers[..., :1]), np.arange(1, 4) * powers[..., :3]], -1
         )
         design = np.concatenate([design, slopes], 1)
-        target = np.concatenate([target, v[near] * width[..., None]], 1)
-    keep = np.isfinite(target)
-    channels = [(np.where(keep, target, 0.0)[..., j], keep[..., j]) for j in range(q.shape[1])]
+        target = np.concatenate([target, v[neighbours] * width[..., None]], 1)
+    is_read = np.isfinite(target)
+    channels = [
+        (np.where(is_read, target, 0.0)[..., j], is_read[..., j]) for j in range(q.shape[1])
+    ]
     coef = np.stack([_cubic(design, y, k) for y, k in channels], -1)  # [T, 4, n]
     return coef[:, 0], coef[:, 1] / width
 
 
-def _cubic(design: np.ndarray, target: np.ndarray, keep: np.ndarray) -> np.ndarray:
+def _cubic(design: np.ndarray, target: np.ndarray, is_read: np.ndarray) -> np.ndarray:
     """Coefficients `[T, 4]` of weighted least squares."""
-    selected = design * keep[..., None]
-    normal = np.swapaxes(selected, 1, 2) @ design + 1e-9 * np.eye(4)
-    return np.linalg.solve(normal, (np.swapaxes(selected, 1, 2) @ target[..., None]))[..., 0]
+    masked_design = design * is_read[..., None]
+    normal = np.swapaxes(masked_design, 1, 2) @ design + 1e-9 * np.eye(4)
+    return np.linalg.solve(normal, (np.swapaxes(masked_design, 1, 2) @ target[..., None]))[..., 0]

@@ -24,13 +24,13 @@ from adaptsim_jax.logs.declared import (
     SHORT_TRIALS,
     TASKS,
     TEXT_KEYS,
+    check_keys,
     choice,
-    known,
     not_negative,
     number,
     tables,
 )
-from adaptsim_jax.logs.log import Log, LogTrial, ModelNames, check_left_out
+from adaptsim_jax.logs.log import Log, LogTrial, ModelNames, check_excluded
 from adaptsim_jax.logs.log_meta import LogMeta, Rig
 from adaptsim_jax.logs.log_units import check_unit
 from adaptsim_jax.logs.read import read_raw
@@ -70,45 +70,46 @@ def read_pendulum(folder: str | Path, *, without: Sequence[str] = ()) -> Log:
     meta, notes = read_pendulum_meta(folder / "meta.toml")
     meta = replace(meta, exclude=tuple(map(glob.escape, without)))
     raw = read_raw(folder, meta, NAMES)
-    check_left_out(str(folder), [trial.name for trial in raw], without)
-    raw = [_of_the_rig(trial, meta) for trial in raw if trial.name not in without]
+    check_excluded(str(folder), [trial.name for trial in raw], without)
+    raw = [_rig_trial(trial, meta) for trial in raw if trial.name not in without]
     log = assemble(str(folder), raw, NAMES, replace(meta, exclude=()))
     _check_degrees(log)
-    moved = {
+    driven_names = {
         name for k, name in enumerate(log.input_names) if any(t.u[:, k].any() for t in log.trials)
     }
-    driven = tuple(name for name in log.driven if name in moved)
+    driven = tuple(name for name in log.driven if name in driven_names)
     return replace(log, driven=driven, notes=notes + log.notes)
 
 
-def _of_the_rig(trial: RawTrial, meta: LogMeta) -> RawTrial:
+def _rig_trial(trial: RawTrial, meta: LogMeta) -> RawTrial:
     """The columns of a rig. BadInput where an angle or a torque is missing."""
     assert meta.rig is not None  # of `read_pendulum_meta`
     roles = roles_of(trial.columns, JOINTS)
-    selected = {name: r for name, r in roles.items() if r.stem in STEMS}
-    have = {
-        (r.stem, JOINTS[r.joint - 1] if r.joint in (1, 2) else r.joint) for r in selected.values()
+    rig_columns = {name: r for name, r in roles.items() if r.stem in STEMS}
+    joints_there = {
+        (r.stem, JOINTS[r.joint - 1] if r.joint in (1, 2) else r.joint)
+        for r in rig_columns.values()
     }
     for j, joint in enumerate(JOINTS, 1):
-        if ("q", joint) not in have:
-            raise _missing(trial, f"q{j}", ("q", JOINTS[0]) in have)
-    stem = "tau" if any(s == "tau" for s, _ in have) else "tau_commanded"
+        if ("q", joint) not in joints_there:
+            raise _missing(trial, f"q{j}", ("q", JOINTS[0]) in joints_there)
+    stem = "tau" if any(s == "tau" for s, _ in joints_there) else "tau_commanded"
     for j, joint in enumerate(JOINTS, 1):
-        if (stem, joint) not in have and j not in meta.rig.unactuated:
+        if (stem, joint) not in joints_there and j not in meta.rig.unactuated:
             raise BadInput(
                 f"{trial.path}: column 'tau{j}' is missing; add it (N m), or write unactuated = "
                 f"[{j}] in meta.toml where that joint has no motor"
             )
-    others = tuple(name for name in trial.columns if name not in selected)
-    columns = {name: trial.columns[name] for name in selected}
+    others = tuple(name for name in trial.columns if name not in rig_columns)
+    columns = {name: trial.columns[name] for name in rig_columns}
     return replace(trial, columns=columns, ignored=(*trial.ignored, *others))
 
 
-def _missing(trial: RawTrial, column: str, one: bool) -> BadInput:
-    near = suggest(column, trial.ignored)
-    hint = f"{near} " if near.startswith("did") else ""
+def _missing(trial: RawTrial, column: str, has_first_angle: bool) -> BadInput:
+    suggestion = suggest(column, trial.ignored)
+    hint = f"{suggestion} " if suggestion.startswith("did") else ""
     mend = "record both joints, one cannot be diagnosed"
-    if not one:
+    if not has_first_angle:
         mend = "needed are time, q1, q2, tau1, tau2"
     return BadInput(f"{trial.path}: column {column!r} is missing; {hint}{mend}")
 
@@ -123,11 +124,17 @@ def _check_degrees(log: Log) -> None:
     assert log.meta.rig is not None  # of `read_pendulum_meta`
     geometry = log.meta.rig.geometry
     length = min(geometry.get("l1", 0.3), geometry.get("l2", 0.3))
-    fast = UNIT.swinging * math.sqrt(max(geometry.get("g", GRAVITY), 1.0) / length)
+    max_speed = UNIT.max_swing_speed_ratio * math.sqrt(
+        max(geometry.get("g", GRAVITY), 1.0) / length
+    )
     reach = np.array([np.nanmax(np.abs(t.q), axis=0) for t in log.trials])
     speed = np.array([_top_speed(t) for t in log.trials])
-    minimum, most = np.median(reach.min(1)), np.median(reach.max(1))
-    if minimum < UNIT.both or most < UNIT.wide or np.median(speed) < fast:
+    least_reach, most_reach = np.median(reach.min(1)), np.median(reach.max(1))
+    if (
+        least_reach < UNIT.min_other_angle
+        or most_reach < UNIT.max_bench_angle
+        or np.median(speed) < max_speed
+    ):
         return
     worst = int(np.argmax(speed))
     raise BadInput(
@@ -151,7 +158,7 @@ def read_pendulum_meta(path: str | Path) -> tuple[LogMeta, tuple[str, ...]]:
     raw = read(path, SHORT_TRIALS if (path.parent / "actions.csv").exists() else MISSING)
     if raw.get("task") not in ("pendulum", None):
         choice(path, raw, "task", TASKS)
-    known(path, raw, KEYS)
+    check_keys(path, raw, KEYS)
     for key, example in REQUIRED.items():
         if key not in raw:
             raise BadInput(f"{path}: key {key!r} is missing; add {key} = {example}")
@@ -159,10 +166,10 @@ def read_pendulum_meta(path: str | Path) -> tuple[LogMeta, tuple[str, ...]]:
     choice(path, raw, "task", ("pendulum",))
     choice(path, raw, "torque", ("measured", "commanded", "applied"))
     model, model_file = _model(path, raw)
-    given = read(Path(model_file)).get("geometry", {}) if model_file else {}
-    if not isinstance(given, dict):
-        given = {}
-    geometry, notes = _geometry(path, given | table["geometry"], model)
+    model_geometry = read(Path(model_file)).get("geometry", {}) if model_file else {}
+    if not isinstance(model_geometry, dict):
+        model_geometry = {}
+    geometry, notes = _geometry(path, model_geometry | table["geometry"], model)
     rig = Rig(
         model=model,
         angle_zero=choice(path, raw, "angle_zero", ("upright", "hanging")) or "",
@@ -171,9 +178,11 @@ def read_pendulum_meta(path: str | Path) -> tuple[LogMeta, tuple[str, ...]]:
         model_file=model_file,
         unactuated=_joints(path, raw.get("unactuated", [])),
     )
-    units = known(path, table["units"], ("time", *GROUPS.values(), *GROUPS, *CHANNELS), "units")
+    units = check_keys(
+        path, table["units"], ("time", *GROUPS.values(), *GROUPS, *CHANNELS), "units"
+    )
     units = {key: check_unit(path, key, value) for key, value in units.items()}
-    noise = known(path, table["noise"], (*GROUPS.values(), *GROUPS, *CHANNELS), "noise")
+    noise = check_keys(path, table["noise"], (*GROUPS.values(), *GROUPS, *CHANNELS), "noise")
     noise = {key: not_negative(path, f"noise.{key}", std) for key, std in noise.items()}
     return LogMeta(path=str(path), units=units, noise=noise, rig=rig), notes
 
@@ -207,9 +216,9 @@ def _model(path: Path, raw: dict) -> tuple[str, str | None]:
 
 def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tuple[str, ...]]:
     """Lengths in m and gravity in m/s^2; with a note on what is assumed."""
-    known(path, raw, ("l1", "l2", "g"), "geometry")
-    given = {k: number(path, f"geometry.{k}", v) for k, v in raw.items()}
-    for key, value in given.items():
+    check_keys(path, raw, ("l1", "l2", "g"), "geometry")
+    declared = {k: number(path, f"geometry.{k}", v) for k, v in raw.items()}
+    for key, value in declared.items():
         if not (value > 0 or (key == "g" and value == 0)) or value > 1e3:
             unit = "m/s^2" if key == "g" else "m"
             raise BadInput(
@@ -218,10 +227,10 @@ def _geometry(path: Path, raw: dict, model: str) -> tuple[dict[str, float], tupl
     defaults = {"g": GRAVITY}
     if model == "linearized":
         defaults = {"l1": 1.0, "l2": 1.0, "g": GRAVITY}
-    assumed = ", ".join(f"{k} = {v:g}" for k, v in defaults.items() if k not in given)
+    assumed = ", ".join(f"{k} = {v:g}" for k, v in defaults.items() if k not in declared)
     if assumed:
-        return defaults | given, (f"geometry not declared, assumed: {assumed}",)
-    return defaults | given, ()
+        return defaults | declared, (f"geometry not declared, assumed: {assumed}",)
+    return defaults | declared, ()
 
 
 def _joints(path: Path, raw: Any) -> tuple[int, ...]:

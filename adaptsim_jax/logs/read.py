@@ -22,7 +22,7 @@ from adaptsim_jax.core.files import is_pointer
 from adaptsim_jax.logs import bag, command_files, readers
 from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
-from adaptsim_jax.logs.log import Log, ModelNames, followed, model_names
+from adaptsim_jax.logs.log import Log, ModelNames, model_names, restrict_log
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
 from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
@@ -53,7 +53,7 @@ def read_log(
             joints.
         meta: What stands in place of the folder's `meta.toml`, or its path.
     """
-    source, meta, notes = _declared(source, meta)
+    source, meta, notes = _source_and_meta(source, meta)
     if model is not None and not isinstance(model, ModelNames):
         names = ModelNames(tuple(model))
     else:
@@ -75,8 +75,8 @@ def read_with_model(
 def read_source_and_log(
     source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Source, Log]:
-    """The same with the model file as it is, and the log of all its joints."""
-    source, meta, notes = _declared(source, meta)
+    """Read the model file as it is, and the log of all its joints."""
+    source, meta, notes = _source_and_meta(source, meta)
     path = str(model) if model is not None else meta.model
     if path is None:
         where = meta.path or source
@@ -98,10 +98,10 @@ def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
         if value is not None or name in log.meta.hold
     }
     mechanism = mechanism_of(source, hold, log.joint_names, log.meta.path)
-    return mechanism, followed(log, mechanism)
+    return mechanism, restrict_log(log, mechanism)
 
 
-def _declared(
+def _source_and_meta(
     source: str | Path, meta: LogMeta | str | Path | None
 ) -> tuple[Path, LogMeta, tuple[str, ...]]:
     source = Path(source)
@@ -147,32 +147,38 @@ def read_raw(data: Path, meta: LogMeta, names: ModelNames | None = None) -> list
         names: The model's.
     """
 
-    def out(name: str) -> bool:
+    def is_excluded(name: str) -> bool:
         return any(fnmatch.fnmatchcase(name, pattern) for pattern in meta.exclude)
 
-    others = readers.found(data)
-    whole = data.is_dir() and any(path == data for _, path in others)  # one data set
-    files, commands = ([], {}) if whole else _tables(data, meta)
-    if not files and not others:
-        raise _nothing(data)
-    gone = [path for path in (*files, *(p for _, p in others)) if not whole and out(_stem(path))]
-    files = [path for path in files if path not in gone]
-    others = [(reader, path) for reader, path in others if path not in gone]
-    for path in (*files, *(p for _, p in others)):
+    read_by_others = readers.found(data)
+    is_data_set = data.is_dir() and any(path == data for _, path in read_by_others)  # one data set
+    files, commands = ([], {}) if is_data_set else _tables(data, meta)
+    if not files and not read_by_others:
+        raise _no_recordings(data)
+    excluded = [
+        path
+        for path in (*files, *(p for _, p in read_by_others))
+        if not is_data_set and is_excluded(_stem(path))
+    ]
+    files = [path for path in files if path not in excluded]
+    read_by_others = [(reader, path) for reader, path in read_by_others if path not in excluded]
+    for path in (*files, *(p for _, p in read_by_others)):
         _check_fetched(path)
-    wanted = _wanted(meta, names, out)
-    recorded: list[RawTrial] = []
-    for reader, path in others:
+    wanted = _wanted(meta, names, is_excluded)
+    recorded_trials: list[RawTrial] = []
+    for reader, path in read_by_others:
         trials = reader.read(path, wanted)
         if not files:  # in a folder of both, [columns] speaks of the tables
             trials = _renamed(trials, meta)
         if reader.check is not None and (first := [t for t in trials if t.columns]):
             reader.check(path, first[0], wanted.joints)
-        recorded += trials
-    trials = _read_tables(data, files, commands, meta) + recorded
-    if len(files) < len(trials) and not whole:
+        recorded_trials += trials
+    trials = _read_tables(data, files, commands, meta) + recorded_trials
+    if len(files) < len(trials) and not is_data_set:
         trials = _named_by_file(trials)
-    return trials + [RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in gone]
+    return trials + [
+        RawTrial(_stem(path), str(path), {}, np.zeros(0, np.int64)) for path in excluded
+    ]
 
 
 def _check_fetched(path: Path) -> None:
@@ -186,10 +192,10 @@ def _tables(data: Path, meta: LogMeta) -> tuple[list[Path], dict[str, Path]]:
     """The tables of trials, and those that hold commands beside them."""
     folder = data if data.is_dir() else data.parent
     files = table_files(data)
-    commands = command_files.declared(meta.commands, folder, meta.path)
+    commands = command_files.command_paths(meta.commands, folder, meta.path)
     files = [path for path in files if path not in commands.values()]
     if not commands and data.is_dir():
-        command_files.check_suspected(files)
+        command_files.check_command_files(files)
     return files, commands
 
 
@@ -201,12 +207,12 @@ def _read_tables(
     read = read_files(files, meta, paths)
     trials = [command_files.with_commands(t, commands, meta) for t in read]
     if files and not data.is_dir() and not commands:
-        notes = command_files.likely_commands(data, table_files(data.parent))
+        notes = command_files.command_file_note(data, table_files(data.parent))
         trials = [replace(trial, notes=(*trial.notes, *notes)) for trial in trials]
     return trials
 
 
-def _nothing(data: Path) -> BadInput:
+def _no_recordings(data: Path) -> BadInput:
     ends = (*ENDINGS, *readers.endings())
     if not data.is_dir():
         return BadInput(
@@ -232,15 +238,15 @@ def _wanted(meta: LogMeta, names: ModelNames | None, out: Callable[[str], bool])
 
 def _named_by_file(trials: list[RawTrial]) -> list[RawTrial]:
     """The trials, those of one name called by their files."""
-    called = Counter(trial.name for trial in trials)
-    shared = Counter(trial.path for trial in trials)
+    name_counts = Counter(trial.name for trial in trials)
+    path_counts = Counter(trial.path for trial in trials)
 
     def by_file(trial: RawTrial) -> str:
-        if shared[trial.path] > 1:
+        if path_counts[trial.path] > 1:
             return f"{_stem(Path(trial.path))}_{trial.name}"
         return Path(trial.path).name
 
-    return [replace(t, name=by_file(t)) if called[t.name] > 1 else t for t in trials]
+    return [replace(t, name=by_file(t)) if name_counts[t.name] > 1 else t for t in trials]
 
 
 def _stem(path: Path) -> str:

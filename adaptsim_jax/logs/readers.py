@@ -70,5 +70,5 @@ def found(data: Path) -> list[tuple[Reader, Path]]:
 
 
 def endings() -> tuple[str, ...]:
-    """Of all files that are read, but for CSV and NPZ."""
+    """Return the endings of all files that are read, but for CSV and NPZ."""
     return tuple(ending for reader in READERS.values() for ending in reader.endings)

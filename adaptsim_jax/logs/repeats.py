@@ -21,8 +21,10 @@ def read_once(trial: RawTrial) -> RawTrial:
     not stand in about as many rows each.
     """
     roles = roles_of(trial.columns)
-    clock = next((name for name, found in roles.items() if found.stem == "time"), None)
-    angles = {found.joint: name for name, found in roles.items() if found.stem == "q"}
+    clock = next((name for name, column_role in roles.items() if column_role.stem == "time"), None)
+    angles = {
+        column_role.joint: name for name, column_role in roles.items() if column_role.stem == "q"
+    }
     if clock is None or not angles:
         return trial
     for groups in ([list(angles)], [[joint] for joint in angles]):
@@ -35,23 +37,23 @@ def read_once(trial: RawTrial) -> RawTrial:
     else:
         return trial
     time, states = trial.columns[clock], []
-    whose = {joint: k for k, group in enumerate(groups) for joint in group}
+    group_of = {joint: k for k, group in enumerate(groups) for joint in group}
     for k, (rows, _) in enumerate(first):
-        own = {} if states else {LINE: trial.lines[rows].astype(float)}
-        for name, found in roles.items():
-            if found.stem in STATES and whose.get(found.joint, 0) == k:
-                own[name] = trial.columns[name][rows]
-        states.append(Series(time[rows], own))
-    read = {clock, *(name for series in states for name in series.columns)}
-    acts = {name: trial.columns[name] for name in roles if name not in read}
-    out, _ = merge(trial.path, states, [Series(time, acts)] if acts else [])
-    lines = np.round(out.pop(LINE)).astype(np.int64)
+        columns_of_group = {} if states else {LINE: trial.lines[rows].astype(float)}
+        for name, column_role in roles.items():
+            if column_role.stem in STATES and group_of.get(column_role.joint, 0) == k:
+                columns_of_group[name] = trial.columns[name][rows]
+        states.append(Series(time[rows], columns_of_group))
+    state_columns = {clock, *(name for series in states for name in series.columns)}
+    held_columns = {name: trial.columns[name] for name in roles if name not in state_columns}
+    merged, _ = merge(trial.path, states, [Series(time, held_columns)] if held_columns else [])
+    lines = np.round(merged.pop(LINE)).astype(np.int64)
     main = max(states, key=lambda series: len(series.time)).time
     begin = np.searchsorted(main, max(series.time[0] for series in states))
-    columns = out | {"time": main[begin : begin + len(lines)]}
-    turns = ", joints in turn" if len(groups) > 1 else ""
+    columns = merged | {"time": main[begin : begin + len(lines)]}
+    in_turn = ", joints in turn" if len(groups) > 1 else ""
     times = f"each reading stands in about {np.mean([count for _, count in first]):.3g} rows"
-    note = f"{times}{turns}: taken once, at the first of them"
+    note = f"{times}{in_turn}: taken once, at the first of them"
     columns = {clock: columns.pop("time")} | columns
     return replace(trial, columns=columns, lines=lines, notes=(*trial.notes, note))
 
@@ -65,9 +67,11 @@ def _first_rows(q: np.ndarray) -> tuple[np.ndarray, float]:
     length = np.diff(rows)
     if len(rows) < REPEAT.min_readings:
         return rows, 0.0
-    usual = int(np.median(length))
-    even = np.mean((length >= usual) & (length <= usual + 1) | (length % usual == 0))
-    moved = [x[x > 0] for x in step.T]
-    fine = any(len(x) and np.median(x) > REPEAT.steps * np.min(x) for x in moved)
-    steady = usual > 1 and even > REPEAT.even and fine
-    return rows, float(np.mean(length[length <= usual + 1])) if steady else 0.0
+    usual_length = int(np.median(length))
+    share_even = np.mean(
+        (length >= usual_length) & (length <= usual_length + 1) | (length % usual_length == 0)
+    )
+    nonzero_steps = [x[x > 0] for x in step.T]
+    is_fine = any(len(x) and np.median(x) > REPEAT.min_steps * np.min(x) for x in nonzero_steps)
+    is_steady = usual_length > 1 and share_even > REPEAT.min_even_share and is_fine
+    return rows, float(np.mean(length[length <= usual_length + 1])) if is_steady else 0.0

@@ -18,9 +18,9 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.logs.angles import followed_turns, without_turns
+from adaptsim_jax.logs.angles import follow_turns, without_turns
 from adaptsim_jax.logs.bag import ENDINGS, Bag, Topic, bags, is_bag, opened
-from adaptsim_jax.logs.clock import Series, Stamped, merge, stamped
+from adaptsim_jax.logs.clock import MessageTimes, Series, merge, message_times
 from adaptsim_jax.logs.columns import role
 from adaptsim_jax.logs.criteria import CLOCK, TABLE
 from adaptsim_jax.logs.messages import (
@@ -28,7 +28,7 @@ from adaptsim_jax.logs.messages import (
     COMMANDED,
     STATES,
     TRAJECTORIES,
-    Asked,
+    RosOptions,
     choose,
     in_model,
     joints_of,
@@ -40,7 +40,7 @@ from adaptsim_jax.logs.quality.hypotheses import Track
 from adaptsim_jax.logs.readers import Reader, Wanted
 from adaptsim_jax.logs.senders import Message, one_commander, one_sender
 from adaptsim_jax.logs.tables import RawTrial
-from adaptsim_jax.logs.trajectories import followed, plan_of, sampled
+from adaptsim_jax.logs.trajectories import followed_commands, plan_of, sample_and_hold
 
 __all__ = ["ENDINGS", "Topic", "bag_topics", "bags", "is_bag", "read_bag"]
 
@@ -52,13 +52,13 @@ next.
 
 @dataclass(frozen=True)
 class Clock:
-    """Of the state's messages: whether they are `stamped`, the `first` time and how `late` they
-    arrive (median), in ns.
+    """Of the state's messages: whether they `has_stamps`, the `first` time and the `delay` of their
+    arrival (median), in ns.
     """
 
-    stamped: bool
+    has_stamps: bool
     first: int
-    late: int
+    delay: int
 
 
 def read_bag(path: Path, wanted: Wanted) -> RawTrial:
@@ -69,24 +69,24 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
     topic, a damaged bag, a library missing.
     """
     with opened(path) as bag:
-        states, commanded, notes = choose(
-            path, bag.topics, wanted.options, lambda t: _known(bag, t, wanted.joints)
+        state_topics, command_topics, notes = choose(
+            path, bag.topics, wanted.options, lambda t: _model_joints_named(bag, t, wanted.joints)
         )
-        series, clock, reported = _states(path, bag, states, wanted.joints)
-        notes += reported
-        series, left = _of_the_model(series, wanted)
-        notes += left
+        series, clock, more_notes = _states(path, bag, state_topics, wanted.joints)
+        notes += more_notes
+        series, more_notes = _with_model_joints(series, wanted)
+        notes += more_notes
         commands: list[Series] = []
-        for topic in commanded:
-            made, reported = _commands(path, bag, topic, clock, series, wanted)
-            commands += made
-            notes += reported
-        commands, _ = _of_the_model(commands, wanted)
-        commands = [_turned(s, series, wanted.servos) for s in commands]
-    columns, reported = merge(str(path), series, commands)
-    notes += reported
-    columns, reported = _without_zeros(columns)
-    notes += reported
+        for topic in command_topics:
+            topic_commands, more_notes = _commands(path, bag, topic, clock, series, wanted)
+            commands += topic_commands
+            notes += more_notes
+        commands, _ = _with_model_joints(commands, wanted)
+        commands = [_with_whole_turns(s, series, wanted.servos) for s in commands]
+    columns, more_notes = merge(str(path), series, commands)
+    notes += more_notes
+    columns, more_notes = _without_zeros(columns)
+    notes += more_notes
     rows = np.arange(1, len(columns["time"]) + 1)
     return RawTrial(
         path.stem if path.is_file() else path.name, str(path), columns, rows, "message", notes=notes
@@ -94,7 +94,7 @@ def read_bag(path: Path, wanted: Wanted) -> RawTrial:
 
 
 def bag_topics(
-    path: Path, options: Asked, joints: Collection[str] = ()
+    path: Path, options: RosOptions, joints: Collection[str] = ()
 ) -> tuple[tuple[Topic, ...], dict[str, str | Sequence[str]]]:
     """All topics of a bag, and those that `read_bag` takes with these options, by `state_topic` and
     `command_topic`: a name, or a list of them.
@@ -104,20 +104,25 @@ def bag_topics(
     """
     with opened(path) as bag:
         topics = bag.topics
-        states, commands, _ = choose(path, topics, options, lambda t: _known(bag, t, joints))
+        states, commands, _ = choose(
+            path, topics, options, lambda t: _model_joints_named(bag, t, joints)
+        )
     chosen = {"state_topic": states, "command_topic": commands}
-    names = {key: [topic.name for topic in taken] for key, taken in chosen.items() if taken}
-    return topics, {key: own[0] if len(own) == 1 else own for key, own in names.items()}
+    names = {key: [topic.name for topic in of_key] for key, of_key in chosen.items() if of_key}
+    return topics, {
+        key: topic_names[0] if len(topic_names) == 1 else topic_names
+        for key, topic_names in names.items()
+    }
 
 
 # ---------------------------------------------------------------- messages
 
 
-def _known(bag: Bag, topic: Topic, joints: Collection[str]) -> set[str]:
+def _model_joints_named(bag: Bag, topic: Topic, joints: Collection[str]) -> set[str]:
     """The joints of the model that the first messages of a topic name."""
     if not joints:
         return set()
-    first = itertools.islice(bag.messages(topic.name), CLOCK.first)
+    first = itertools.islice(bag.messages(topic.name), CLOCK.n_first_messages)
     named = (in_model(topic.name, joints_of(topic, message), joints) for _, message in first)
     return set(joints).intersection(set().union(*named))
 
@@ -138,49 +143,52 @@ def _states(
     path: Path, bag: Bag, topics: Sequence[Topic], joints: Collection[str]
 ) -> tuple[list[Series], Clock, tuple[str, ...]]:
     """What topics of states say, on the clock of the first of them."""
-    whose: dict[str, str] = {}
-    found = [_state(bag, topic, joints) for topic in topics]
-    for topic, (rows, *_) in zip(topics, found, strict=True):
+    topic_of: dict[str, str] = {}
+    states = [_state(bag, topic, joints) for topic in topics]
+    for topic, (rows, *_) in zip(topics, states, strict=True):
         if not rows:
             raise BadInput(
                 f"{path}: topic {topic.name} has no message with positions; name another by "
                 "state_topic"
             )
         for joint in {name for _, names, _ in rows for name in names}:
-            if whose.setdefault(joint, topic.name) != topic.name:
+            if topic_of.setdefault(joint, topic.name) != topic.name:
                 raise BadInput(
-                    f"{path}: topics {whose[joint]} and {topic.name} both speak of {joint!r}; name "
-                    "one of them by state_topic"
+                    f"{path}: topics {topic_of[joint]} and {topic.name} both speak of {joint!r}; "
+                    "name one of them by state_topic"
                 )
-    times = found[0][1]
-    first = min(row[0] for rows, *_ in found for row in rows)
+    times = states[0][1]
+    first = min(row[0] for rows, *_ in states for row in rows)
     series = [
-        one
-        for rows, *_ in found
-        for one in _series([((time - first) * 1e-9, names, values) for time, names, values in rows])
+        group_series
+        for rows, *_ in states
+        for group_series in _series(
+            [((time - first) * 1e-9, names, values) for time, names, values in rows]
+        )
     ]
-    late = times.late if times.stamped else 0
-    notes = tuple(note for *_, own in found for note in own)
-    return series, Clock(times.stamped, first, late), notes
+    delay = times.delay if times.has_stamps else 0
+    notes = tuple(note for *_, topic_notes in states for note in topic_notes)
+    return series, Clock(times.has_stamps, first, delay), notes
 
 
 def _state(
     bag: Bag, topic: Topic, joints: Collection[str]
-) -> tuple[list[Message], Stamped, tuple[str, ...]]:
+) -> tuple[list[Message], MessageTimes, tuple[str, ...]]:
     """The messages of a topic that are taken, their times, and what was made of them."""
     arrived, stamps, messages = _messages(bag, topic)
     read = STATES[topic.kind]
-    stated = [
+    readings = [
         (in_model(topic.name, names, joints) if any(names) else (), values)
         for names, values in map(read, messages)
     ]
     notes: list[str] = []
-    if twice := next((n for names, _ in stated for n in names if names.count(n) > 1), None):
+    if duplicate := next((n for names, _ in readings for n in names if names.count(n) > 1), None):
         raise BadInput(
-            f"{topic.name}: its messages name {twice!r} more than once; record names that differ"
+            f"{topic.name}: its messages name {duplicate!r} more than once; record names that "
+            "differ"
         )
-    sizes = [len(values.get("q", ())) for _, values in stated]
-    nameless = sum(not names and n > 0 for (names, _), n in zip(stated, sizes, strict=True))
+    sizes = [len(values.get("q", ())) for _, values in readings]
+    nameless = sum(not names and n > 0 for (names, _), n in zip(readings, sizes, strict=True))
     if nameless:
         notes.append(
             f"topic {topic.name}: names are empty in {nameless} messages, taken in the order of "
@@ -190,38 +198,38 @@ def _state(
         def numbers(values):
             return tuple(str(i) for i in range(1, len(values.get("q", ())) + 1))
 
-        stated = [(names or numbers(values), values) for names, values in stated]
-    counts = [len(names) for names, _ in stated]
-    whole = np.array([n == count > 0 for n, count in zip(sizes, counts, strict=True)], bool)
-    some = sum(n > 0 for n, here in zip(sizes, whole, strict=True) if not here)
-    if some and whole.any():
+        readings = [(names or numbers(values), values) for names, values in readings]
+    counts = [len(names) for names, _ in readings]
+    is_complete = np.array([n == count > 0 for n, count in zip(sizes, counts, strict=True)], bool)
+    n_incomplete = sum(n > 0 for n, is_used in zip(sizes, is_complete, strict=True) if not is_used)
+    if n_incomplete and is_complete.any():
         notes.append(
-            f"topic {topic.name}: {some} messages with another number of positions than of names "
-            "left out"
+            f"topic {topic.name}: {n_incomplete} messages with another number of positions than of "
+            "names left out"
         )
-    elif some:
-        one = next((names, values) for names, values in stated if len(values.get("q", ())))
+    elif n_incomplete:
+        one = next((names, values) for names, values in readings if len(values.get("q", ())))
         raise BadInput(
             f"{topic.name}: its messages name {len(one[0])} joints and hold {len(one[1]['q'])} "
             "positions; record it so that they agree"
         )
     sender = {
-        key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in stated))
+        key: k for k, key in enumerate(dict.fromkeys(tuple(sorted(names)) for names, _ in readings))
     }
-    group = np.array([sender[tuple(sorted(names))] for names, _ in stated])
+    group = np.array([sender[tuple(sorted(names))] for names, _ in readings])
     if len(arrived):
-        times = stamped(arrived, stamps, group)
+        times = message_times(arrived, stamps, group)
     else:
-        times = Stamped(arrived, arrived > 0, False, 0)
+        times = MessageTimes(arrived, arrived > 0, False, 0)
     notes += times.notes(topic.name)
-    keep = times.selected & whole
+    is_used = times.has_time & is_complete
     rows = [
         (time, *one)
-        for time, one, here in zip(times.time.tolist(), stated, keep, strict=True)
-        if here
+        for time, one, is_used in zip(times.time.tolist(), readings, is_used, strict=True)
+        if is_used
     ]
-    rows, reported = one_sender(topic.name, rows)
-    return rows, times, (*notes, *reported)
+    rows, sender_notes = one_sender(topic.name, rows)
+    return rows, times, (*notes, *sender_notes)
 
 
 def _commands(
@@ -230,20 +238,20 @@ def _commands(
     """What a topic commands, and what was made of it."""
     arrived, stamps, messages = _messages(bag, topic)
     notes: list[str] = []
-    came = arrived - clock.late
-    own = (stamps > 0) & clock.stamped
+    arrival = arrived - clock.delay
+    uses_stamp = (stamps > 0) & clock.has_stamps
     if topic.kind not in TRAJECTORIES:
         # a stamp of another clock, or of another computer's, says nothing beside those of the
         # states
-        own &= np.abs(stamps - came) < CLOCK.max_offset
-    if np.mean(own) <= 0.5:
-        own[:] = False
+        uses_stamp &= np.abs(stamps - arrival) < CLOCK.max_offset
+    if np.mean(uses_stamp) <= 0.5:
+        uses_stamp[:] = False
 
-    def since(ns):
+    def seconds_since(ns):
         return (ns - clock.first) * 1e-9
 
     if topic.kind in ARRAYS:
-        if clock.stamped and clock.late:
+        if clock.has_stamps and clock.delay:
             notes.append(
                 f"topic {topic.name} has no stamps: its arrival is taken, less the delay of the "
                 "state's messages"
@@ -253,24 +261,30 @@ def _commands(
         )
     if topic.kind in TRAJECTORIES:
         plans = []
-        for m, a, s in zip(messages, came.tolist(), stamps.tolist(), strict=True):
+        for m, a, s in zip(messages, arrival.tolist(), stamps.tolist(), strict=True):
             if hasattr(m, "goal"):
-                begins = nanoseconds(m.goal.trajectory.header.stamp)
+                start = nanoseconds(m.goal.trajectory.header.stamp)
             else:
-                begins = s
-            plan = plan_of(m, since(begins) if begins > 0 and clock.stamped else None, since(a))
+                start = s
+            plan = plan_of(
+                m,
+                seconds_since(start) if start > 0 and clock.has_stamps else None,
+                seconds_since(a),
+            )
             plans.append(replace(plan, joints=in_model(topic.name, plan.joints, wanted.joints)))
         return _trajectory(path, topic, plans, states, wanted, notes)
     read = COMMANDED[topic.kind]
-    times = np.where(own, stamps, came)
+    times = np.where(uses_stamp, stamps, arrival)
     rows = []
     for time, m in zip(times.tolist(), messages, strict=True):
         names, values = read(m)
         names = in_model(topic.name, names, wanted.joints)
-        most = max((len(x) for x in values.values()), default=0)
-        rows.append((since(time), names or tuple(str(i) for i in range(1, most + 1)), values))
-    rows, reported = one_commander(topic.name, rows)
-    return _series(rows), (*notes, *reported)
+        n_values = max((len(x) for x in values.values()), default=0)
+        rows.append(
+            (seconds_since(time), names or tuple(str(i) for i in range(1, n_values + 1)), values)
+        )
+    rows, sender_notes = one_commander(topic.name, rows)
+    return _series(rows), (*notes, *sender_notes)
 
 
 def _trajectory(
@@ -281,52 +295,59 @@ def _trajectory(
     """
 
     def angle(joint: str, at: float) -> float:
-        own = next((s for s in states if f"q_{joint}" in s.columns), None)
-        if own:
-            return float(np.interp(at, own.time, own.columns[f"q_{joint}"]))
+        state = next((s for s in states if f"q_{joint}" in s.columns), None)
+        if state:
+            return float(np.interp(at, state.time, state.columns[f"q_{joint}"]))
         return 0.0
 
-    asked = wanted.options.get("trajectory")
-    reported = asked if isinstance(asked, str) else None
-    if reported is None and not any(t > plan.takes_over for plan in plans for t, *_ in plan.points):
-        return followed(plans, angle, True), tuple(
+    option = wanted.options.get("trajectory")
+    interpolation = option if isinstance(option, str) else None
+    if interpolation is None and not any(
+        t > plan.takes_over for plan in plans for t, *_ in plan.points
+    ):
+        return followed_commands(plans, angle, True), tuple(
             notes
         )  # points that give no time to move are commands as they come
-    made = {how: followed(plans, angle, how == "hold") for how in POINTS if reported in (None, how)}
+    commands_by_kind = {
+        kind: followed_commands(plans, angle, kind == "hold")
+        for kind in POINTS
+        if interpolation in (None, kind)
+    }
     if (
-        "ramp" in made
+        "ramp" in commands_by_kind
         # a controller that steps with the states holds what it has from row to row; a faster one
         # does
         # not wait
     ):
         main = max(states, key=lambda s: len(s.time)).time
-        each = [sampled(series, main) for series in made["ramp"]]
-        made["ramp"] = min(
-            (each, made["ramp"]), key=lambda commands: _left(str(path), states, commands)
+        sampled_commands = [sample_and_hold(series, main) for series in commands_by_kind["ramp"]]
+        commands_by_kind["ramp"] = min(
+            (sampled_commands, commands_by_kind["ramp"]),
+            key=lambda commands: _unexplained_share(str(path), states, commands),
         )
-    how = reported or "ramp"
-    why = "as controllers take it"
-    if reported is None:
-        left = {h: _left(str(path), states, made[h]) for h in POINTS}
-        best, other = sorted(POINTS, key=lambda h: left[h])
-        if left[best] < CLOCK.better * left[other]:
-            how, why = best, "which the angles follow far better"
-    statement = {
+    kind = interpolation or "ramp"
+    reason = "as controllers take it"
+    if interpolation is None:
+        shares = {h: _unexplained_share(str(path), states, commands_by_kind[h]) for h in POINTS}
+        best, other = sorted(POINTS, key=lambda h: shares[h])
+        if shares[best] < CLOCK.decisive_ratio * shares[other]:
+            kind, reason = best, "which the angles follow far better"
+    text = {
         "ramp": "points are moved to from one to the next",
         "hold": "each point is held to the next",
-    }[how]
-    if reported is None:
-        mend = f'; write trajectory = "{"hold" if how == "ramp" else "ramp"}" under [ros] if not'
+    }[kind]
+    if interpolation is None:
+        mend = f'; write trajectory = "{"hold" if kind == "ramp" else "ramp"}" under [ros] if not'
     else:
         mend = ""
     notes.append(
-        f"topic {topic.name}: {statement}{'' if reported else f', {why}'}, a new trajectory takes "
-        f"the place of what is ahead{mend}"
+        f"topic {topic.name}: {text}{'' if interpolation else f', {reason}'}, a new trajectory "
+        f"takes the place of what is ahead{mend}"
     )
-    return made[how], tuple(notes)
+    return commands_by_kind[kind], tuple(notes)
 
 
-def _left(path: str, states: list[Series], commands: list[Series]) -> float:
+def _unexplained_share(path: str, states: list[Series], commands: list[Series]) -> float:
     """What commands leave of the joints' accelerations, in the middle; infinite where that cannot
     be told.
     """
@@ -334,94 +355,102 @@ def _left(path: str, states: list[Series], commands: list[Series]) -> float:
         columns, _ = merge(path, states, commands)
     except BadInput:
         return float("inf")
-    left = []
+    shares = []
     for name in columns:
         q = columns.get("q" + name.removeprefix("target"))
         if name.startswith("target_") and q is not None:
-            left.append(
+            shares.append(
                 unexplained([Track(columns["time"], q[:, None], None, columns[name][:, None])])
             )
-    left = [x for x in left if np.isfinite(x)]
-    if left:
-        return float(np.median(left))
+    shares = [x for x in shares if np.isfinite(x)]
+    if shares:
+        return float(np.median(shares))
     return float("inf")
 
 
-def _turned(command: Series, states: list[Series], servos: Mapping[str, str]) -> Series:
+def _with_whole_turns(command: Series, states: list[Series], servos: Mapping[str, str]) -> Series:
     """Targets, and what `servos` says are, with the whole turns of their angles, before they are
     brought onto the clock of these: a mean over a row of a target that counts anew within it would
     be no target.
     """
-    out = dict(command.columns)
+    columns = dict(command.columns)
     for name, values in command.columns.items():
         joint = servos.get(name) or name.removeprefix("target_")
-        own = next((s for s in states if f"q_{joint}" in s.columns), None)
-        stated = values[np.isfinite(values)]
+        state = next((s for s in states if f"q_{joint}" in s.columns), None)
+        finite = values[np.isfinite(values)]
         if (
             not (name in servos or name.startswith("target_"))
-            or own is None
-            or len(stated) < 4
-            or np.ptp(stated) < np.pi
+            or state is None
+            or len(finite) < 4
+            or np.ptp(finite) < np.pi
         ):
             continue
-        here = np.isfinite(own.columns[f"q_{joint}"])
-        time, first = np.unique(own.time[here], return_index=True)
+        has_angle = np.isfinite(state.columns[f"q_{joint}"])
+        time, first = np.unique(state.time[has_angle], return_index=True)
         if len(time) > 3:
-            q = without_turns(time, own.columns[f"q_{joint}"][here][first]).q
-            out[name] = followed_turns(np.interp(command.time, time, q), values)
-    return replace(command, columns=out)
+            q = without_turns(time, state.columns[f"q_{joint}"][has_angle][first]).q
+            columns[name] = follow_turns(np.interp(command.time, time, q), values)
+    return replace(command, columns=columns)
 
 
-def _of_the_model(series: list[Series], wanted: Wanted) -> tuple[list[Series], tuple[str, ...]]:
-    """Without what `ignore` names, and without whole joints that the model lacks where all that it
+def _with_model_joints(
+    series: list[Series], wanted: Wanted
+) -> tuple[list[Series], tuple[str, ...]]:
+    """Remove what `ignore` names, and whole joints that the model lacks where all that it
     has are there: what speaks of others decides nothing of the clock.
     """
     joints = wanted.joints
-    has = {
+    joints_there = {
         column.joint
         for s in series
         for name in s.columns
         if (column := role(name, joints)) and column.stem == "q"
     }
-    strange: set[str] = set()
-    if joints and set(joints) <= has:
-        strange = {joint for joint in has if isinstance(joint, str) and joint not in joints}
+    unknown_joints: set[str] = set()
+    if joints and set(joints) <= joints_there:
+        unknown_joints = {
+            joint for joint in joints_there if isinstance(joint, str) and joint not in joints
+        }
 
-    def keeps(name: str) -> bool:
+    def is_kept(name: str) -> bool:
         if name in wanted.named:
             return True
-        found = role(name, joints)
-        joint = found.joint if found else None
+        column_role = role(name, joints)
+        joint = column_role.joint if column_role else None
         return name not in wanted.ignore and (
-            not isinstance(joint, str) or joint not in {*wanted.ignore, *strange}
+            not isinstance(joint, str) or joint not in {*wanted.ignore, *unknown_joints}
         )
 
-    selected = [s.of({name for name in s.columns if keeps(name)}) for s in series]
-    out = sorted(strange - set(wanted.ignore))
-    if out:
-        notes = (f"joints that the model lacks are left out: {', '.join(out)}",)
+    kept = [s.of({name for name in s.columns if is_kept(name)}) for s in series]
+    excluded = sorted(unknown_joints - set(wanted.ignore))
+    if excluded:
+        notes = (f"joints that the model lacks are left out: {', '.join(excluded)}",)
     else:
         notes = ()
-    return [s for s in selected if s.columns], notes
+    return [s for s in kept if s.columns], notes
 
 
 def _without_zeros(columns: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Without efforts, and without speeds, that are zero throughout, as drivers write them that
+    """Remove efforts, and speeds, that are zero throughout, as drivers write them that
     have none.
     """
     notes: tuple[str, ...] = ()
     angles = [x for n, x in columns.items() if n.startswith("q_") and np.isfinite(x).any()]
-    moves = any(np.nanmax(x) - np.nanmin(x) > TABLE.moving for x in angles)
-    for stem, reported in (
+    is_moving = any(np.nanmax(x) - np.nanmin(x) > TABLE.min_motion for x in angles)
+    for stem, note in (
         ("tau_", "efforts are zero throughout: not taken for torques"),
         ("v_", "velocities are zero throughout though joints move: left out"),
     ):
-        own = [
+        names = [
             name for name in columns if name.startswith(stem) and not name.endswith("_commanded")
         ]
-        if own and not any(np.any(columns[name]) for name in own) and (stem == "tau_" or moves):
-            columns = {name: values for name, values in columns.items() if name not in own}
-            notes = (*notes, reported)
+        if (
+            names
+            and not any(np.any(columns[name]) for name in names)
+            and (stem == "tau_" or is_moving)
+        ):
+            columns = {name: values for name, values in columns.items() if name not in names}
+            notes = (*notes, note)
     return columns, notes
 
 
@@ -440,8 +469,8 @@ def _series(rows: list[Message]) -> list[Series]:
             else {s for r in group for s in r[2]}
         ):
             table = np.full((len(group), len(names)), np.nan)
-            for i, (_, order, given) in enumerate(group):
-                if len(row := given.get(stem, ())) == len(names):
+            for i, (_, order, values_by_stem) in enumerate(group):
+                if len(row := values_by_stem.get(stem, ())) == len(names):
                     if order == names:
                         table[i] = row
                     else:
@@ -449,14 +478,14 @@ def _series(rows: list[Message]) -> list[Series]:
             # efforts of one joint alone that are NaN throughout are no column that is not there:
             # said where torques are chosen
             filled = np.any(np.isfinite(table), axis=0)
-            some = bool(np.any(filled))
+            has_any = bool(np.any(filled))
             values |= {
                 _column(stem, name): table[:, j]
                 for j, name in enumerate(names)
-                if filled[j] or (some and stem == "tau")
+                if filled[j] or (has_any and stem == "tau")
             }
-        reordered = any(order != names for _, order, _ in group)
-        out.append(Series(np.array([time for time, _, _ in group]), values, reordered))
+        is_reordered = any(order != names for _, order, _ in group)
+        out.append(Series(np.array([time for time, _, _ in group]), values, is_reordered))
     return out
 
 

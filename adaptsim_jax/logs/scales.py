@@ -34,7 +34,7 @@ class Scale:
     kind: str
     why: str
     line: str
-    known: bool
+    is_complete: bool
 
 
 def scale_of(
@@ -58,19 +58,19 @@ def scale_of(
     if len(x) < UNIT.min_samples or np.ptp(x) == 0:
         return None
     low, high = float(x.min()), float(x.max())
-    whole = bool(np.all(x == np.round(x)))
-    if whole:
+    is_integer = bool(np.all(x == np.round(x)))
+    if is_integer:
         # a setpoint of 100 is a round number; steps of an encoder go far beyond degrees
-        if low >= 0 and UNIT.degrees < high < 2**16 and len(np.unique(x)) > UNIT.min_samples:
+        if low >= 0 and UNIT.max_degrees < high < 2**16 and len(np.unique(x)) > UNIT.min_samples:
             steps = next(2**k for k in (12, 14, 16) if high < 2**k)
             line = f"{key} = {{ticks = {steps}, zero = {steps // 2}}}"
             return Scale(
                 STEPS, f"whole numbers up to {high:.0f} look like an encoder's steps", line, True
             )
         return None
-    ends = abs(high - 100.0) < UNIT.end or abs(low + 100.0) < UNIT.end
-    inside = high <= 100.0 + UNIT.end and low >= -100.0 - UNIT.end
-    if gripper and inside and low >= -1.0 and high > UNIT.large:
+    ends_at_100 = abs(high - 100.0) < UNIT.end_tolerance or abs(low + 100.0) < UNIT.end_tolerance
+    is_inside = high <= 100.0 + UNIT.end_tolerance and low >= -100.0 - UNIT.end_tolerance
+    if gripper and is_inside and low >= -1.0 and high > UNIT.max_angle:
         if limits:
             line = f'{key} = "percent"'
         else:
@@ -81,11 +81,11 @@ def scale_of(
             line,
             limits is not None,
         )
-    if not (ends and inside):
+    if not (ends_at_100 and is_inside):
         return None
-    end = "100" if abs(high - 100.0) < UNIT.end else "-100"
+    end = "100" if abs(high - 100.0) < UNIT.end_tolerance else "-100"
     why = f"values end at exactly {end}: per cent of the joint's range, as LeRobot writes it"
-    if low < -UNIT.end:
+    if low < -UNIT.end_tolerance:
         return Scale(SIGNED, why, f"{key} = {{from = [-100, 100], to = [LOW, HIGH]}}", False)
     return Scale(UNSIGNED, why, f"{key} = {{percent = [LOW, HIGH]}}", False)
 
@@ -101,7 +101,7 @@ def share_of(key: str, angles: Sequence[np.ndarray]) -> Scale | None:
     if (
         len(x) < UNIT.min_samples
         or np.max(np.abs(x)) > 1.0
-        or np.sum(np.abs(x) == 1.0) < UNIT.cut
+        or np.sum(np.abs(x) == 1.0) < UNIT.min_cut_rows
         or np.ptp(x) == 0
         or np.all(x == np.round(x))
     ):
@@ -121,10 +121,10 @@ def scales_of(
     lerobot: bool,
     ranges: Mapping[str, tuple[float, float]],
 ) -> dict[str, Scale]:
-    """By joint, of `columns`: joint -> its angles and targets as written. In a data set of LeRobot
-    all joints of an arm are in one scale.
+    """Find the scale of each joint, of `columns`: joint -> its angles and targets as written. In a
+    data set of LeRobot all joints of an arm are in one scale.
     """
-    found = {
+    scales = {
         joint: scale
         for joint in joints
         if (
@@ -136,13 +136,13 @@ def scales_of(
             )
         )
     }
-    signed = next((scale for scale in found.values() if scale.kind == SIGNED), None)
+    signed = next((scale for scale in scales.values() if scale.kind == SIGNED), None)
     if signed and lerobot:
         for joint in joints:
-            if joint not in found and columns.get(joint) and not is_gripper(joint):
+            if joint not in scales and columns.get(joint) and not is_gripper(joint):
                 line = f"q_{joint} = {{from = [-100, 100], to = [LOW, HIGH]}}"
-                found[joint] = Scale(SIGNED, "as the arm's other joints", line, False)
-    return found
+                scales[joint] = Scale(SIGNED, "as the arm's other joints", line, False)
+    return scales
 
 
 def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str, ...]:
@@ -150,7 +150,7 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
     where nothing is declared and they can be no angles.
     """
     lerobot = all(c.raw.path.endswith(".parquet") for c in trials)
-    written = {
+    raw_values = {
         joint: [
             x
             for c in trials
@@ -158,23 +158,25 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
             if (x := c.written.get((stem, j))) is not None
         ]
         for j, joint in enumerate(names.joints)
-        if not all(c.scaled(j) for c in trials)
+        if not all(c.has_scale(j) for c in trials)
     }
     ranges = {
         joint: limits for j, joint in enumerate(names.joints) if (limits := names.limits_of(j))
     }
-    found = scales_of(written, [j for j in names.joints if j in written], lerobot, ranges)
+    scales = scales_of(raw_values, [j for j in names.joints if j in raw_values], lerobot, ranges)
     for j, joint in enumerate(names.joints):
-        own = [c.written["q", j] for c in trials if ("q", j) in c.written and not c.scaled(j)]
+        joint_angles = [
+            c.written["q", j] for c in trials if ("q", j) in c.written and not c.has_scale(j)
+        ]
         if (
-            joint not in found
+            joint not in scales
             and joint not in names.slides
-            and (share := share_of(f"q_{joint}", own))
+            and (share := share_of(f"q_{joint}", joint_angles))
         ):
-            found[joint] = share
-    if not found:
+            scales[joint] = share
+    if not scales:
         return ()
-    where = {joint: names.joints.index(joint) for joint in found}
+    where = {joint: names.joints.index(joint) for joint in scales}
 
     def reach(joint: str) -> float:
         angles = [
@@ -182,18 +184,19 @@ def check_scales(trials: Sequence[JointColumns], names: ModelNames) -> tuple[str
         ]
         return max((float(np.nanmax(np.abs(q))) for q in angles), default=0.0)
 
-    lines = "; ".join(scale.line for scale in found.values())
-    first = next(iter(found.values()))
-    if any(not s.known for s in found.values()):
-        fill = ", LOW and HIGH its calibrated ends in rad (m)"
+    lines = "; ".join(scale.line for scale in scales.values())
+    first = next(iter(scales.values()))
+    if any(not s.is_complete for s in scales.values()):
+        placeholder = ", LOW and HIGH its calibrated ends in rad (m)"
     else:
-        fill = ""
-    statement = (
-        f"{', '.join(found)}: {first.why}; write {lines} under [units]{fill}, or record angles"
+        placeholder = ""
+    text = (
+        f"{', '.join(scales)}: {first.why}; write {lines} under [units]{placeholder}, or record "
+        "angles"
     )
-    if any(joint not in names.slides and reach(joint) > UNIT.large for joint in found):
-        raise BadInput(f"{trials[0].raw.path}: {statement}")
-    return (f"{statement}; taken as declared",)
+    if any(joint not in names.slides and reach(joint) > UNIT.max_angle for joint in scales):
+        raise BadInput(f"{trials[0].raw.path}: {text}")
+    return (f"{text}; taken as declared",)
 
 
 WORDS = {"mm": "millimetres", "cm": "centimetres"}
@@ -203,7 +206,7 @@ def check_log_units(
     trials: Sequence[LogTrial],
     names: ModelNames,
     units: Mapping[str, object] | None = None,
-    known: Collection[str] = (),
+    declared_joints: Collection[str] = (),
     written: Mapping[str, Written] | None = None,
 ) -> tuple[str, ...]:
     """Notes about suspicious units.
@@ -212,20 +215,24 @@ def check_log_units(
 
     Args:
         units: As declared; angles that are degrees already are not asked about.
-        known: Joints for whose angles or ways a unit is declared.
+        declared_joints: Joints for whose angles or ways a unit is declared.
         written: Of joints that have speeds, their columns.
     """
     hinges = [j for j, joint in enumerate(names.joints) if joint not in names.slides]
-    off = check_speeds(trials, names, written or {})
+    speed_notes = check_speeds(trials, names, written or {})
     slides = [j for j, joint in enumerate(names.joints) if joint in names.slides]
-    distant = tuple(
-        note for j in slides if (note := _distance_note(trials, j, names, names.joints[j] in known))
+    range_notes = tuple(
+        note
+        for j in slides
+        if (note := _distance_note(trials, j, names, names.joints[j] in declared_joints))
     )
     degrees = any(unit in ("deg", "degrees") for unit in (units or {}).values())
     if degrees:
-        return (*off, *distant)
-    large = [_large(trials, j, names, names.joints[j] in known) for j in hinges]
-    return (*off, *distant, *filter(None, large))
+        return (*speed_notes, *range_notes)
+    degree_notes = [
+        _degrees_note(trials, j, names, names.joints[j] in declared_joints) for j in hinges
+    ]
+    return (*speed_notes, *range_notes, *filter(None, degree_notes))
 
 
 def lengths_within(times: float) -> tuple[str, ...]:
@@ -235,7 +242,7 @@ def lengths_within(times: float) -> tuple[str, ...]:
     return tuple(
         unit
         for unit in ("mm", "cm")
-        if times >= UNIT.hint and times * LENGTH_UNITS[unit] <= UNIT.inside
+        if times >= UNIT.hint_ranges and times * LENGTH_UNITS[unit] <= UNIT.max_ranges_in_unit
     )
 
 
@@ -247,7 +254,7 @@ def times_range(reach: float, limits: tuple[float, float] | None) -> float:
     return 0.0
 
 
-def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
+def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, is_declared: bool) -> str:
     """A note on ways too long for metres; BadInput where the declared range is surely passed, and
     no unit is declared.
     """
@@ -255,49 +262,49 @@ def _distance_note(trials: Sequence[LogTrial], j: int, names: ModelNames, known:
     limits, joint = names.limits_of(j), names.joints[j]
     times = times_range(reach, limits)
     units = lengths_within(times)
-    if known or (limits and not units) or (not limits and reach < UNIT.long):
+    if is_declared or (limits and not units) or (not limits and reach < UNIT.max_slide_length):
         return ""
-    ask = " or ".join(f'length = "{unit}"' for unit in units or ("mm",))
+    choices = " or ".join(f'length = "{unit}"' for unit in units or ("mm",))
     if limits is None:
         return (
-            f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {ask} under "
+            f"{joint} slides as far as {reach:.3g} m: if that is no metres, write {choices} under "
             "[units]"
         )
     declared = f"{limits[0]:g} to {limits[1]:g} m"
-    statement = (
+    text = (
         f"{joint} slides as far as {reach:.3g} m, {times:.2g} times its declared range of "
         f"{declared}"
     )
-    if times < UNIT.distant:
-        return f"{statement}: if that is no metres, write {ask} under [units]"
+    if times < UNIT.max_ranges:
+        return f"{text}: if that is no metres, write {choices} under [units]"
     raise BadInput(
-        f"{trials[0].path}: {statement}, as {' or '.join(WORDS[unit] for unit in units)} would; "
-        f"write {ask} under [units] in meta.toml, "
+        f"{trials[0].path}: {text}, as {' or '.join(WORDS[unit] for unit in units)} would; "
+        f"write {choices} under [units] in meta.toml, "
         'or length = "m" if they are metres and the range is not the machine\'s'
     )
 
 
-def _large(trials: Sequence[LogTrial], j: int, names: ModelNames, known: bool) -> str:
+def _degrees_note(trials: Sequence[LogTrial], j: int, names: ModelNames, is_declared: bool) -> str:
     """A note on angles that may be degrees. Where a unit is declared, on a trial that is unlike the
     others alone.
     """
     reaches = np.array([np.nanmax(np.abs(t.q[:, j]), initial=0.0) for t in trials])
     reach = float(np.median(reaches))
     outlier = int(reaches.argmax())
-    if reaches[outlier] > max(UNIT.large, UNIT.outlier * reach):
+    if reaches[outlier] > max(UNIT.max_angle, UNIT.min_outlier_ratio * reach):
         return (
             f"angles of {names.joints[j]} reach {reaches[outlier]:.3g} rad in "
             f"{trials[outlier].name}, {reach:.2g} rad in the others: if they are degrees there, "
             "convert that file"
         )
     speeds = [np.nanquantile(np.abs(t.v[:, j]), 0.99) for t in trials if t.v is not None]
-    if known or reach < UNIT.large or (speeds and np.median(speeds) < UNIT.fast):
+    if is_declared or reach < UNIT.max_angle or (speeds and np.median(speeds) < UNIT.max_speed):
         return ""
     if trials[0].path.endswith(".parquet"):
-        more = "; LeRobot may write per cent of a range, too"
+        hint = "; LeRobot may write per cent of a range, too"
     else:
-        more = ""
+        hint = ""
     return (
         f"angles of {names.joints[j]} reach {reach:.3g} rad: if they are degrees, write angle = "
-        f'"deg" under [units]{more}'
+        f'"deg" under [units]{hint}'
     )

@@ -22,17 +22,17 @@ def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tupl
     """
     senders: dict[tuple[str, ...], dict[tuple, list[int]]] = {}
     for k, (_, names, values) in enumerate(rows):
-        gives = tuple(stem for stem, x in values.items() if len(x) == len(names))
-        own = senders.setdefault(tuple(sorted(names)), {})
-        own.setdefault((names, gives), []).append(k)
-    out: set[int] = set()
+        stems = tuple(stem for stem, x in values.items() if len(x) == len(names))
+        messages_of = senders.setdefault(tuple(sorted(names)), {})
+        messages_of.setdefault((names, stems), []).append(k)
+    excluded: set[int] = set()
     notes = []
-    for joints, own in senders.items():
-        main, *others = sorted(own.values(), key=len, reverse=True)
+    for joints, messages_of in senders.items():
+        main, *others = sorted(messages_of.values(), key=len, reverse=True)
         time, q = _angles(rows, main, joints)
         for other in others:
             if _contradict(time, q, *_angles(rows, other, joints)):
-                out |= set(other)
+                excluded |= set(other)
                 notes.append(
                     f"topic {topic}: {len(other)} messages of another sender contradict the "
                     f"{len(main)} that speak of the same joints ({', '.join(joints)}): left out"
@@ -43,7 +43,7 @@ def one_sender(topic: str, rows: Sequence[Message]) -> tuple[list[Message], tupl
                 "angles leap to and fro; record it with one of them stopped ('ros2 topic info -v' "
                 "lists them)"
             )
-    return [row for k, row in enumerate(rows) if k not in out], tuple(notes)
+    return [row for k, row in enumerate(rows) if k not in excluded], tuple(notes)
 
 
 def one_commander(topic: str, rows: list[Message]) -> tuple[list[Message], tuple[str, ...]]:
@@ -55,29 +55,34 @@ def one_commander(topic: str, rows: list[Message]) -> tuple[list[Message], tuple
         return rows, ()
     time = np.array([row[0] for row in rows])
     u = np.nan_to_num([np.concatenate([*row[2].values()]) for row in rows])
-    other = np.zeros(len(rows), bool)
-    other[1:-1] = np.any(_back(u, CLOCK.leap * np.ptp(u, axis=0)), axis=1)
-    if not CLOCK.leaps < np.mean(other) < CLOCK.fewer or np.ptp(u) < SIGNAL.moving:
+    is_other = np.zeros(len(rows), bool)
+    is_other[1:-1] = np.any(_leaps_back(u, CLOCK.min_leap_share * np.ptp(u, axis=0)), axis=1)
+    if (
+        not CLOCK.min_leaping_share < np.mean(is_other) < CLOCK.max_sender_share
+        or np.ptp(u) < SIGNAL.min_motion
+    ):
         return rows, ()
-    between = time[2:] - time[:-2] < CLOCK.dense * np.median(np.diff(time[~other]))
-    if np.mean(between[other[1:-1]]) < CLOCK.usual_steps:
+    between = time[2:] - time[:-2] < CLOCK.min_density * np.median(np.diff(time[~is_other]))
+    if np.mean(between[is_other[1:-1]]) < CLOCK.usual_quantile:
         return rows, ()
-    steps = np.quantile(np.abs(np.diff(u[~other], axis=0)), CLOCK.usual_steps, axis=0)
-    other[1:-1] = between & np.any(_back(u, CLOCK.contradicts * steps), axis=1)
+    steps = np.quantile(np.abs(np.diff(u[~is_other], axis=0)), CLOCK.usual_quantile, axis=0)
+    is_other[1:-1] = between & np.any(_leaps_back(u, CLOCK.min_contradiction_steps * steps), axis=1)
     note = (
-        f"topic {topic}: {other.sum()} messages of another sender lie between the "
-        f"{np.sum(~other)} others and contradict them: left out"
+        f"topic {topic}: {is_other.sum()} messages of another sender lie between the "
+        f"{np.sum(~is_other)} others and contradict them: left out"
     )
-    return [row for row, out in zip(rows, other, strict=True) if not out], (note,)
+    return [row for row, is_excluded in zip(rows, is_other, strict=True) if not is_excluded], (
+        note,
+    )
 
 
 def _angles(
-    rows: Sequence[Message], own: Sequence[int], joints: tuple[str, ...]
+    rows: Sequence[Message], indices: Sequence[int], joints: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Times `[K]` and angles `[K, n]` of some messages, as they came."""
-    time = np.array([rows[k][0] for k in own])
-    order = [rows[own[0]][1].index(name) for name in joints]
-    return time, np.array([rows[k][2]["q"] for k in own])[:, order]
+    time = np.array([rows[k][0] for k in indices])
+    order = [rows[indices[0]][1].index(name) for name in joints]
+    return time, np.array([rows[k][2]["q"] for k in indices])[:, order]
 
 
 def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: np.ndarray) -> bool:
@@ -87,12 +92,12 @@ def _contradict(time: np.ndarray, q: np.ndarray, other_time: np.ndarray, other: 
     if len(time) < CLOCK.min_stamps:
         return False
     order = np.argsort(time, kind="stable")
-    off = [
+    distances = [
         np.median(np.abs(x - np.interp(other_time, time[order], y[order])))
         for x, y in zip(other.T, q.T, strict=True)
     ]
-    steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_steps, axis=0)
-    return bool(np.any(np.array(off) > CLOCK.contradicts * steps))
+    steps = np.quantile(np.abs(np.diff(q, axis=0)), CLOCK.usual_quantile, axis=0)
+    return bool(np.any(np.array(distances) > CLOCK.min_contradiction_steps * steps))
 
 
 def _leaps(q: np.ndarray) -> bool:
@@ -100,12 +105,16 @@ def _leaps(q: np.ndarray) -> bool:
     if len(q) < CLOCK.min_stamps:
         return False
     span = np.ptp(q, axis=0)
-    often = np.mean(_back(q, CLOCK.leap * span), axis=0) > CLOCK.leaps
-    return bool(np.any(often & (span > SIGNAL.moving)))
+    leaps_often = (
+        np.mean(_leaps_back(q, CLOCK.min_leap_share * span), axis=0) > CLOCK.min_leaping_share
+    )
+    return bool(np.any(leaps_often & (span > SIGNAL.min_motion)))
 
 
-def _back(q: np.ndarray, least: np.ndarray) -> np.ndarray:
-    """Where values `[K, n]` leap by more than `least [n]`, and back at once `[K - 2, n]`."""
+def _leaps_back(q: np.ndarray, min_leap: np.ndarray) -> np.ndarray:
+    """Find where values `[K, n]` leap by more than `min_leap [n]`, and back at once `[K - 2,
+    n]`.
+    """
     step = np.diff(q, axis=0)
-    leaps = np.abs(step) > least
-    return leaps[:-1] & leaps[1:] & (step[:-1] * step[1:] < 0)
+    is_leap = np.abs(step) > min_leap
+    return is_leap[:-1] & is_leap[1:] & (step[:-1] * step[1:] < 0)

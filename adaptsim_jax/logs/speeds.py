@@ -45,7 +45,7 @@ def check_speeds(
     """
     columns = {j: written[name] for j, name in enumerate(names.joints) if name in written}
     hinges = [j for j in columns if names.joints[j] not in names.slides]
-    every = [
+    agreements = [
         {
             j: a
             for j in columns
@@ -53,21 +53,25 @@ def check_speeds(
         }
         for t in trials
     ]
-    for trial, found in zip(trials, every, strict=True):
-        own = {j: found[j] for j in hinges if j in found}
-        if what := _mistake(own, columns):
+    for trial, by_joint in zip(trials, agreements, strict=True):
+        hinge_agreements = {j: by_joint[j] for j in hinges if j in by_joint}
+        if what := _mistake(hinge_agreements, columns):
             why = f"velocities and angles differ by a unit: suspected are {what}"
             raise BadInput(f"{trial.path}: {why} under [units] in meta.toml, or convert the file")
-    gains = {j: g for j in columns if (g := common([found[j] for found in every if j in found]))}
-    wrong = [j for j, g in gains.items() if not SIGNAL.min_gain < g < SIGNAL.max_gain]
-    if wrong:
+    gains = {
+        j: g
+        for j in columns
+        if (g := common_ratio([by_joint[j] for by_joint in agreements if j in by_joint]))
+    }
+    wrong_joints = [j for j, g in gains.items() if not SIGNAL.min_gain < g < SIGNAL.max_gain]
+    if wrong_joints:
         ignored = ", ".join(f'"{columns[j].v}"' for j in columns)
         raise BadInput(
-            f"{trials[0].path}: {_ratios(gains, columns, wrong)}, or ignore = [{ignored}] above it "
-            "to go without speeds"
+            f"{trials[0].path}: {_ratio_text(gains, columns, wrong_joints)}, or ignore = "
+            f"[{ignored}] above it to go without speeds"
         )
-    off = [j for j, gain in gains.items() if abs(math.log(gain)) > SIGNAL.gain_error]
-    return (_ratios(gains, columns, off),) if off else ()
+    scaled_joints = [j for j, gain in gains.items() if abs(math.log(gain)) > SIGNAL.gain_error]
+    return (_ratio_text(gains, columns, scaled_joints),) if scaled_joints else ()
 
 
 def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | None:
@@ -77,16 +81,16 @@ def agreement(time: np.ndarray, q: np.ndarray, v: np.ndarray) -> Agreement | Non
     rows = np.isfinite(q) & np.isfinite(v)
     if rows.sum() <= UNIT.min_rows:
         return None
-    found = velocity_agreement(time[rows], q[rows], v[rows])
-    if found.enough and found.r2 > UNIT.related:
-        return found
+    estimate = velocity_agreement(time[rows], q[rows], v[rows])
+    if estimate.enough and estimate.r2 > UNIT.min_r2:
+        return estimate
     return None
 
 
-def _unsure(found: Agreement) -> float:
-    """By how much a ratio may be off, in log: noise of the speeds makes it too large."""
+def _log_uncertainty(found: Agreement) -> float:
+    """Estimate by how much a ratio may be off, in log: noise of the speeds makes it too large."""
     errors = SIGNAL.gain_errors * found.spread / abs(found.gain)
-    return min(UNIT.alike, max(UNIT.same, errors, 1.0 - found.r2))
+    return min(UNIT.log_tolerance, max(UNIT.ratio_tolerance, errors, 1.0 - found.r2))
 
 
 def _mistake(found: Mapping[int, Agreement], columns: Mapping[int, Written]) -> str:
@@ -95,35 +99,39 @@ def _mistake(found: Mapping[int, Agreement], columns: Mapping[int, Written]) -> 
         return ""
     words = {stem: ", ".join(getattr(columns[j], stem) for j in found) for stem in ("q", "v")}
     for size, (what, units) in MISTAKES.items():
-        if all(abs(math.log(a.gain / size)) < _unsure(a) for a in found.values()):
+        if all(abs(math.log(a.gain / size)) < _log_uncertainty(a) for a in found.values()):
             lines = " and ".join(f'{key} = "{unit}"' for key, unit in units.items())
             return f"{what.format(**words)}; write {lines}"
     return ""
 
 
-def common(found: Sequence[Agreement]) -> float | None:
+def common_ratio(found: Sequence[Agreement]) -> float | None:
     """The ratio that trials agree on, 1 or -1 where it may be that; None where they do not."""
     gains = np.array([a.gain for a in found])
     if not len(gains) or abs(np.sum(np.sign(gains))) < len(gains):
         return None
-    size, middle = np.abs(gains), float(np.median(gains))
-    if size.max() > UNIT.agree * size.min():
+    size, median = np.abs(gains), float(np.median(gains))
+    if size.max() > UNIT.max_ratio * size.min():
         return None
-    far = abs(math.log(abs(middle)))
+    log_size = abs(math.log(abs(median)))
     # coarse rows of a fast motion leave ratios that trials do not share to the digit
-    alike = len(size) > 1 and float(np.ptp(np.log(size))) < UNIT.shared * far
-    if far < float(np.median([_unsure(a) for a in found])) or (far < UNIT.alike and not alike):
-        return math.copysign(1.0, middle)
-    return middle
+    are_alike = len(size) > 1 and float(np.ptp(np.log(size))) < UNIT.log_ratio_tolerance * log_size
+    if log_size < float(np.median([_log_uncertainty(a) for a in found])) or (
+        log_size < UNIT.log_tolerance and not are_alike
+    ):
+        return math.copysign(1.0, median)
+    return median
 
 
-def _ratios(gains: Mapping[int, float], columns: Mapping[int, Written], own: Sequence[int]) -> str:
+def _ratio_text(
+    gains: Mapping[int, float], columns: Mapping[int, Written], joints: Sequence[int]
+) -> str:
     """What speeds of these joints are, and what to write."""
-    said = ", ".join(f"{columns[j].v} is {gains[j]:.4g} times d({columns[j].q})/dt" for j in own)
+    text = ", ".join(f"{columns[j].v} is {gains[j]:.4g} times d({columns[j].q})/dt" for j in joints)
     why = "filtered, or of a clock that differs"
-    if any(gains[j] < 0 for j in own):
+    if any(gains[j] < 0 for j in joints):
         why = "of the other sign than the angle"
-    elif any(abs(math.log(gains[j])) > UNIT.alike for j in own):
+    elif any(abs(math.log(gains[j])) > UNIT.log_tolerance for j in joints):
         why = "of the motor's side of a gear"
-    lines = " and ".join(f"{columns[j].v} = {columns[j].scale / gains[j]:.4g}" for j in own)
-    return f"{said} ({why}?); write {lines} under [units] in meta.toml"
+    lines = " and ".join(f"{columns[j].v} = {columns[j].scale / gains[j]:.4g}" for j in joints)
+    return f"{text} ({why}?); write {lines} under [units] in meta.toml"

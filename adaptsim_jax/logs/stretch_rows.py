@@ -47,34 +47,34 @@ class StretchRows:
 
 
 def stretch_rows(
-    trials: Sequence[TrialSpans], horizon: float, most: int, where: str = ""
+    trials: Sequence[TrialSpans], horizon: float, max_stretches: int, where: str = ""
 ) -> StretchRows:
-    """Consecutive stretches of `horizon` s of all trials, at most about `most`.
+    """Consecutive stretches of `horizon` s of all trials, at most about `max_stretches`.
 
     Raises BadInput where no trial holds a whole one, with `where` in front.
     """
-    every = [[(k, first) for first in _first_rows(t)] for k, t in enumerate(trials)]
-    some = spread([part for part in every if part], most)
-    if not some:
+    all_rows = [[(k, first) for first in _first_rows(t)] for k, t in enumerate(trials)]
+    chosen = spread([part for part in all_rows if part], max_stretches)
+    if not chosen:
         raise BadInput(
             f"{where}no trial has an unbroken stretch of {horizon:g} s; give a shorter --horizon "
             "or longer trials"
         )
-    trial, first = np.array(some).T
-    last = np.array([trials[k].last[row] for k, row in some])
+    trial, first = np.array(chosen).T
+    last = np.array([trials[k].last[row] for k, row in chosen])
     return StretchRows(trial, first, last, np.array([trials[k].stride for k in trial]))
 
 
-def spread(parts: Sequence[Sequence[Row]], most: int) -> list[Row]:
-    """About `most` stretches of all parts, evenly spread, and where there is room at least one of
-    each part: a trial that is left out tells nothing.
+def spread(parts: Sequence[Sequence[Row]], max_stretches: int) -> list[Row]:
+    """About `max_stretches` stretches of all parts, evenly spread, and where there is room at least
+    one of each part: a trial that is left out tells nothing.
     """
-    if len(parts) > most:
+    if len(parts) > max_stretches:
         parts = [[row for part in parts for row in part]]
     total = sum(map(len, parts))
     chosen = []
     for part in parts:
-        count = max(1, round(min(1.0, most / total) * len(part)))
+        count = max(1, round(min(1.0, max_stretches / total) * len(part)))
         places = np.linspace(0, len(part) - 1, count).round().astype(int)
         chosen += [part[i] for i in np.unique(places)]
     return chosen
@@ -83,21 +83,23 @@ def spread(parts: Sequence[Sequence[Row]], most: int) -> list[Row]:
 def broken(time: np.ndarray) -> np.ndarray:
     """[T-1]: whether a gap follows a row of a trial; time [T] s."""
     steps = np.diff(time)
-    return steps > max(UNBROKEN.gap_rows * float(np.median(steps)), UNBROKEN.gap)
+    return steps > max(UNBROKEN.min_gap_rows * float(np.median(steps)), UNBROKEN.min_gap)
 
 
 def _first_rows(trial: TrialSpans) -> list[int]:
-    """Where consecutive stretches begin, over no gap, with enough of their angles read."""
+    """Find the rows where consecutive stretches begin, over no gap, with enough of their angles
+    read.
+    """
     gaps = np.flatnonzero(broken(trial.time))
-    observed = np.isfinite(trial.q).mean(1) if trial.q.shape[1] else np.ones(len(trial.time))
-    begins, at = [], 0
-    while at < len(trial.time) and trial.last[at] < len(trial.time):
-        end = int(trial.last[at])
-        inside = gaps[(gaps >= at) & (gaps < end)]
+    read_share = np.isfinite(trial.q).mean(1) if trial.q.shape[1] else np.ones(len(trial.time))
+    begins, row = [], 0
+    while row < len(trial.time) and trial.last[row] < len(trial.time):
+        end = int(trial.last[row])
+        inside = gaps[(gaps >= row) & (gaps < end)]
         if len(inside):
-            at = int(inside[-1]) + 1
+            row = int(inside[-1]) + 1
             continue
-        if end > at and observed[at : end + 1].mean() > UNBROKEN.observed:
-            begins.append(at)
-        at = max(end, at + 1)
+        if end > row and read_share[row : end + 1].mean() > UNBROKEN.min_read_share:
+            begins.append(row)
+        row = max(end, row + 1)
     return begins

@@ -16,7 +16,7 @@ from adaptsim_jax.logs.archive import MAX_LISTED, check_lengths, part_name, read
 from adaptsim_jax.logs.criteria import TABLE
 from adaptsim_jax.logs.csv_rows import check_header, check_widths, is_number, read_lines, rows_of
 from adaptsim_jax.logs.table_checks import check_missing, without_blank
-from adaptsim_jax.logs.table_clocks import joined_time, split_clock
+from adaptsim_jax.logs.table_clocks import join_time, split_clock
 
 NOTHING = ("", ".nan", "na", "n/a", "null", "none", "-")
 """What loggers write where they have no number, beside nan."""
@@ -54,7 +54,7 @@ def read_table(
     ours: Mapping[str, str] | None = None,
     lost: tuple[str, ...] = (),
     gaps: tuple[str, ...] = (),
-    whole: bool = True,
+    is_strict: bool = True,
 ) -> LogTable:
     """Read the columns in `wanted` that are there, of `min_rows` rows or more; list the others.
 
@@ -62,29 +62,29 @@ def read_table(
 
     Args:
         ours: What a column is to us where the file names it otherwise; arrays [T, n] are then n
-            columns by `list_cells.part_name`. Optional columns that hold nothing count as not
+            columns by `archive.part_name`. Optional columns that hold nothing count as not
             there.
         lost: Columns of which a row may hold none, as cameras write frames in which they saw
             nothing: such rows are left out.
         gaps: Columns of which any cell may be empty, which is NaN then.
-        whole: Whether other cells may not.
+        is_strict: Whether other cells may not.
     """
     path = Path(path)
     if path.suffix.lower() == ".npz":
         table = _read_npz(path, wanted, lists=ours is not None)
     else:
         table = _read_csv(path, wanted)
-    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, whole)
+    return _checked(path, _without_lost(table, lost), min_rows, ours or {}, gaps, is_strict)
 
 
 def _without_lost(table: LogTable, lost: tuple[str, ...]) -> LogTable:
     """The table without the rows that hold a number in none of the columns `lost`."""
-    there = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
-    selected = np.any(there, 0) if there else np.ones(len(table.lines), bool)
-    if selected.all() or not selected.any():
+    has_number = [~np.isnan(table.columns[name]) for name in lost if name in table.columns]
+    has_values = np.any(has_number, 0) if has_number else np.ones(len(table.lines), bool)
+    if has_values.all() or not has_values.any():
         return table
-    columns = {name: values[selected] for name, values in table.columns.items()}
-    return replace(table, columns=columns, lines=table.lines[selected])
+    columns = {name: values[has_values] for name, values in table.columns.items()}
+    return replace(table, columns=columns, lines=table.lines[has_values])
 
 
 def _checked(
@@ -93,7 +93,7 @@ def _checked(
     min_rows: int,
     ours: Mapping[str, str],
     gaps: tuple[str, ...],
-    whole: bool,
+    is_strict: bool,
 ) -> LogTable:
     """The table without optional columns that hold nothing. BadInput for too few rows, and cells
     without a number but in `gaps`.
@@ -104,17 +104,17 @@ def _checked(
             f"{path}: has {n} data rows; a trial needs at least {min_rows}, leave this file out"
         )
     columns, notes = without_blank(path, table.columns, min_rows, ours)
-    columns, reported = joined_time(path, columns, ours)
-    lines, notes = table.lines, (*table.notes, *notes, *reported)
-    if not gaps and (joined := split_clock(path, columns, lines, ours)):
-        columns, lines, reported = joined
-        notes = (*notes, *reported)
+    columns, time_notes = join_time(path, columns, ours)
+    lines, notes = table.lines, (*table.notes, *notes, *time_notes)
+    if not gaps and (split := split_clock(path, columns, lines, ours)):
+        columns, lines, time_notes = split
+        notes = (*notes, *time_notes)
     filled = {
         name: np.where(np.isnan(values), 0.0, values)
         for name, values in columns.items()
         if name in gaps
     }
-    if whole:
+    if is_strict:
         check_missing(path, columns | filled, lines, table.row_word, ours)
     return replace(table, columns=columns, lines=lines, notes=notes)
 
@@ -136,8 +136,8 @@ def _decode(path: Path, raw: bytes) -> str:
 def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
     """The table, NaN where a cell is empty."""
     raw, cut = read_lines(path)
-    found = rows_of(path, _decode(path, raw))
-    rows, lines = found.rows, found.lines
+    csv = rows_of(path, _decode(path, raw))
+    rows, lines = csv.rows, csv.lines
     if not rows:
         raise BadInput(f"{path}: {EMPTY}")
     check_header(path, rows[0], lines[0], wanted, len(rows) > 1 and len(rows[1]) > 1)
@@ -145,18 +145,18 @@ def _read_csv(path: Path, wanted: tuple[str, ...]) -> LogTable:
     header, rows, lines = rows[0], rows[1:], lines[1:]
     cells = list(zip(*rows, strict=True)) or [()] * len(header)
     columns = {
-        part: _numbers(path, name, own, lines)
+        part: _numbers(path, name, own_cells, lines)
         for name in wanted
         if name in header
-        for part, own in split(path, name, cells[header.index(name)], lines).items()
+        for part, own_cells in split(path, name, cells[header.index(name)], lines).items()
     }
     notes: tuple[str, ...] = ()
     if cut:
-        some = ", ".join(map(str, cut[:MAX_LISTED]))
-        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {some}",)
+        cut_lines = ", ".join(map(str, cut[:MAX_LISTED]))
+        notes = (f"{path.name} holds zero bytes (a power cut?), left out: line {cut_lines}",)
     others = _others(header, wanted)
     table = LogTable(columns, np.asarray(lines, dtype=np.int64), others, "line", notes)
-    return replace(table, units=found.units, again=found.again)
+    return replace(table, units=csv.units, again=csv.again)
 
 
 def _others(names: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:

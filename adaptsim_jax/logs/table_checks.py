@@ -45,17 +45,17 @@ def without_blank(
                 f"{path}: column {name} holds no number in any row; record it, or take the column "
                 "out"
             )
-    selected = {name: values for name, values in columns.items() if name not in blank}
+    not_blank = {name: values for name, values in columns.items() if name not in blank}
     if blank:
         notes = (f"{', '.join(blank)} held no number in {Path(path).name}: taken as not recorded",)
     else:
         notes = ()
-    return selected, notes
+    return not_blank, notes
 
 
 def _is_optional(name: str) -> bool:
-    found = role(name)
-    return found is not None and found.stem in OPTIONAL
+    column_role = role(name)
+    return column_role is not None and column_role.stem in OPTIONAL
 
 
 def check_missing(
@@ -70,18 +70,19 @@ def check_missing(
     Args:
         ours: What a column is to us where the file names it otherwise.
     """
-    bad = {name: ~np.isfinite(values) for name, values in columns.items()}
-    bad = {name: rows for name, rows in bad.items() if rows.any()}
-    if not bad:
+    is_missing = {name: ~np.isfinite(values) for name, values in columns.items()}
+    is_missing = {name: rows for name, rows in is_missing.items() if rows.any()}
+    if not is_missing:
         return
     _check_joined(path, columns, len(lines), ours or {})
-    name, rows = min(bad.items(), key=lambda item: int(np.argmax(item[1])))
+    name, rows = min(is_missing.items(), key=lambda item: int(np.argmax(item[1])))
     at = np.flatnonzero(rows)
     value = columns[name][at[0]]
-    what = "holds no number" if np.isnan(value) else f"is {value}"
-    more = f" (and {at.size - 1} more)" if at.size > 1 else ""
+    description = "holds no number" if np.isnan(value) else f"is {value}"
+    rest = f" (and {at.size - 1} more)" if at.size > 1 else ""
     raise BadInput(
-        f"{path}: {row_word} {lines[at[0]]}: column {name} {what}{more}; fill or remove such rows"
+        f"{path}: {row_word} {lines[at[0]]}: column {name} {description}{rest}; fill or remove "
+        "such rows"
     )
 
 
@@ -93,17 +94,27 @@ def _check_joined(
     """
     clock = next((name for name in columns if ours.get(name, name) in TIME), "time")
     names = [name for name in columns if name != clock]
-    there = np.stack([np.isfinite(columns[name]) for name in names], 1)
-    lacking = ~there.all(1)
-    if count < 2 or lacking.mean() < TABLE.joined:
+    is_there = np.stack([np.isfinite(columns[name]) for name in names], 1)
+    is_incomplete = ~is_there.all(1)
+    if count < 2 or is_incomplete.mean() < TABLE.min_incomplete_share:
         return
-    kinds = Counter(map(tuple, there[lacking].tolist()))
-    often = [kind for kind, rows in kinds.most_common(4) if rows > TABLE.kind * count and any(kind)]
-    if not often or not all(there[:, j].mean() > TABLE.seldom for j in range(len(names))):
+    kinds = Counter(map(tuple, is_there[is_incomplete].tolist()))
+    frequent_kinds = [
+        kind
+        for kind, rows in kinds.most_common(4)
+        if rows > TABLE.min_kind_share * count and any(kind)
+    ]
+    if not frequent_kinds or not all(
+        is_there[:, j].mean() > TABLE.min_column_share for j in range(len(names))
+    ):
         return
-    parts = [[n for n, here in zip(names, kind, strict=True) if here] for kind in often]
-    stated = "; ".join(
-        f"{', '.join(part)} in {kinds[kind]} rows" for part, kind in zip(parts, often, strict=True)
+    parts = [
+        [n for n, is_there_in in zip(names, kind, strict=True) if is_there_in]
+        for kind in frequent_kinds
+    ]
+    text = "; ".join(
+        f"{', '.join(part)} in {kinds[kind]} rows"
+        for part, kind in zip(parts, frequent_kinds, strict=True)
     )
     first = parts[0]
     others = [n for n in names if n not in first] or names
@@ -112,7 +123,7 @@ def _check_joined(
         return ", ".join(repr(w) for w in words)
 
     raise BadInput(
-        f"{path}: rows hold parts of a sample ({stated}), as topics joined by time do; bring them "
+        f"{path}: rows hold parts of a sample ({text}), as topics joined by time do; bring them "
         f"onto one clock, with pandas: pd.merge_asof(df[[{clock!r}, {quote(first)}]].dropna(), "
         f"df[[{clock!r}, {quote(others)}]].dropna(), on={clock!r}).dropna().to_csv(...)"
     )
@@ -124,20 +135,20 @@ def check_size(
     values: np.ndarray,
     lines: np.ndarray,
     row_word: str,
-    limit: float = TABLE.limit,
+    limit: float = TABLE.max_value,
 ) -> np.ndarray:
     """`values [T]` in SI units. BadInput at the first of them that is beyond `limit`."""
-    bad = np.flatnonzero(np.abs(values) > limit)
-    if bad.size:
-        where = f"{path}: {row_word} {lines[bad[0]]}"
-        why = f"column {name} is {values[bad[0]]:.4g} in SI units, beyond {limit:g}"
+    too_large = np.flatnonzero(np.abs(values) > limit)
+    if too_large.size:
+        where = f"{path}: {row_word} {lines[too_large[0]]}"
+        why = f"column {name} is {values[too_large[0]]:.4g} in SI units, beyond {limit:g}"
         raise BadInput(f"{where}: {why}; mend that row, or declare [units] in meta.toml")
     return values
 
 
 def from_zero(time: np.ndarray) -> np.ndarray:
     """Times `[T]` s as they are, clock times from the first of them."""
-    if abs(time[0]) > TABLE.epoch:
+    if abs(time[0]) > TABLE.min_clock_time:
         return time - time[0]
     return time
 
@@ -151,31 +162,33 @@ def check_clock(
     Args:
         mend: What to do, where more is known than that rows are out of order.
     """
-    bad = np.flatnonzero(np.diff(time) <= 0)
-    if not bad.size:
+    not_increasing = np.flatnonzero(np.diff(time) <= 0)
+    if not not_increasing.size:
         return
     other = mend or 'call the one that does time, in a log by [columns] time = "..." in meta.toml'
-    named = "" if np.ptp(time) else other
+    hint = "" if np.ptp(time) else other
     if lost := lost_digits(time):
-        raise BadInput(f"{path}: {lost}{', or, as it never changes, ' if named else ''}{named}")
-    if named:
-        raise BadInput(f"{path}: time never changes; {named}")
-    i = int(bad[0]) + 1
+        raise BadInput(f"{path}: {lost}{', or, as it never changes, ' if hint else ''}{hint}")
+    if hint:
+        raise BadInput(f"{path}: time never changes; {hint}")
+    i = int(not_increasing[0]) + 1
     where = f"{path}: {row_word} {lines[i]}"
-    pair = f"{time[i - 1]:.9g} then {time[i]:.9g}"
+    find_time_parts = f"{time[i - 1]:.9g} then {time[i]:.9g}"
     if time[i] == time[i - 1]:
-        raise BadInput(f"{where}: time repeats ({pair}); {mend or 'sort or remove such rows'}")
-    usual = "sort or remove such rows, or cut the file there if the clock was set"
-    raise BadInput(f"{where}: time runs backwards ({pair}); {mend or usual}")
+        raise BadInput(
+            f"{where}: time repeats ({find_time_parts}); {mend or 'sort or remove such rows'}"
+        )
+    usual_mend = "sort or remove such rows, or cut the file there if the clock was set"
+    raise BadInput(f"{where}: time runs backwards ({find_time_parts}); {mend or usual_mend}")
 
 
 def lost_digits(time: np.ndarray) -> str:
     """What to say of times `[T]` that float32 cannot hold; nothing where it can."""
-    lost = single_precision(time)
-    if not lost:
+    step = single_precision(time)
+    if not step:
         return ""
     return (
-        f"time has lost its digits: it was kept in float32, whose steps are {lost:g} here; save it "
+        f"time has lost its digits: it was kept in float32, whose steps are {step:g} here; save it "
         "as float64, or take the first time off before saving"
     )
 
@@ -185,11 +198,11 @@ def single_precision(time: np.ndarray) -> float:
     0.
     """
     size = float(np.max(np.abs(time), initial=0.0))
-    if not TABLE.single < size < 1e30:
+    if not TABLE.max_float32_time < size < 1e30:
         return 0.0
     step = float(np.spacing(np.float32(size)))
     exact = np.array_equal(time, np.asarray(time, np.float32).astype(float))
-    if exact and np.mean(np.diff(time) == 0) > TABLE.repeated:
+    if exact and np.mean(np.diff(time) == 0) > TABLE.min_repeated_share:
         return step
     return 0.0
 
@@ -204,14 +217,14 @@ def check_time_unit(path: str | Path, time: np.ndarray, scale: float, mend: str 
     if len(time) < 2:
         return
     step = float(np.median(np.diff(time)))
-    if step > TABLE.slowest:
-        unit = next((u for u, size in SMALLER.items() if step * size <= TABLE.slowest), None)
+    if step > TABLE.max_interval:
+        unit = next((u for u, size in SMALLER.items() if step * size <= TABLE.max_interval), None)
         if unit is None:
             raise BadInput(f"{path}: a row every {step:.3g} s; record at 50 Hz or more")
         word = {"ms": "milliseconds", "us": "microseconds", "ns": "nanoseconds"}[unit]
         how = mend or f'write time = "{unit}" under [units] in meta.toml, or convert the file'
         raise BadInput(f"{path}: a row every {step:.3g} s: time is suspected in {word}; {how}")
-    if step < TABLE.fastest and scale != 1.0:
+    if step < TABLE.min_interval and scale != 1.0:
         raise BadInput(
             f"{path}: a row every {step:.3g} s by the declared unit of time; write the unit that "
             "the file has under [units] in meta.toml"

@@ -21,7 +21,13 @@ from adaptsim_jax.logs.csv_rows import CsvRows, read_lines, rows_of
 from adaptsim_jax.logs.log_meta import LogMeta
 from adaptsim_jax.logs.table import LogTable, read_table
 from adaptsim_jax.logs.table_checks import check_clock, check_missing
-from adaptsim_jax.logs.table_clocks import both, headed_again, naming, pair, restarted
+from adaptsim_jax.logs.table_clocks import (
+    cut_at_headers,
+    cut_at_restarts,
+    find_time_parts,
+    time_parts_line,
+    trial_column,
+)
 
 ENDINGS = (".csv", ".npz")
 LEAVE_OUT = '[trials] exclude = ["{}"]'
@@ -43,8 +49,8 @@ class RawTrial:
 
     - `lines [T]`: Line (or row, message) numbers for what is said of a row.
     - `ignored`: Names of columns that are not ours.
-    - `doubt`: Vector -> what is wrong with its names, so that its columns (`vector[0]`, ...) are
-      joints only by `[columns]`.
+    - `name_problems`: Vector -> what is wrong with its names, so that its columns (`vector[0]`,
+      ...) are joints only by `[columns]`.
     - `units`: Column -> what a row of units below the header says.
     """
 
@@ -55,7 +61,7 @@ class RawTrial:
     row_word: str = "line"
     ignored: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
-    doubt: dict[str, str] = field(default_factory=dict)
+    name_problems: dict[str, str] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
 
 
@@ -63,14 +69,14 @@ def table_files(path: Path) -> list[Path]:
     """The CSV and NPZ files of a folder, by name with numbers in their order; a file of these
     itself.
     """
-    found = [
+    files = [
         p
         for p in (path.iterdir() if path.is_dir() else [path])
         if p.suffix.lower() in ENDINGS and p.is_file()
     ]
-    found = [p for p in found if p == path or not p.name.startswith((".", "~$"))]
+    files = [p for p in files if p == path or not p.name.startswith((".", "~$"))]
     return sorted(
-        found, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)]
+        files, key=lambda p: [int(s) if s.isdigit() else s for s in re.split(r"(\d+)", p.name)]
     )
 
 
@@ -83,21 +89,21 @@ def read_files(files: list[Path], meta: LogMeta, others: tuple[Path, ...] = ()) 
         others: Files of commands, whose columns `[columns]` may name too.
     """
     stems = [path.stem for path in files]
-    elsewhere = {name for path in others for name in column_names(path)}
+    command_columns = {name for path in others for name in column_names(path)}
     trials, notes = [], []
     for path in files:
-        here = column_names(path) if elsewhere else []
-        own = {
+        names_here = column_names(path) if command_columns else []
+        renames = {
             ours: theirs
             for ours, theirs in meta.columns.items()
-            if theirs in here or theirs not in elsewhere
+            if theirs in names_here or theirs not in command_columns
         }
         name = path.name if stems.count(path.stem) > 1 else path.stem
         try:
-            trials += read_file(path, name, replace(meta, columns=own))
+            trials += read_file(path, name, replace(meta, columns=renames))
         except BadInput as error:
             if path not in strays(headers_of(files), is_time := _is_time(meta.columns)):
-                raise _or_left_out(error, path, files, is_time, meta) from None
+                raise _with_exclusion_hint(error, path, files, is_time, meta) from None
             notes.append(left_out(path))
     if notes:
         return [replace(trials[0], notes=(*trials[0].notes, *notes)), *trials[1:]]
@@ -110,24 +116,22 @@ def _is_time(rename: Mapping[str, str]) -> Callable[[str], bool]:
     return lambda name: name in named or name in TIME
 
 
-def _or_left_out(
+def _with_exclusion_hint(
     error: BadInput,
     path: Path,
     files: list[Path],
     is_time: Callable[[str], bool],
     meta: LogMeta,
 ) -> BadInput:
-    """What is said of one file of several: how it is left out, where it may be none of the
-    trials.
-    """
-    line = ("--without {}" if meta.rig else LEAVE_OUT).format(path.stem)
+    """Return the error with how to exclude the file, where it may be none of the trials."""
+    exclusion = ("--without {}" if meta.rig else LEAVE_OUT).format(path.stem)
     if len(files) == 1:
         return error
     if str(error).endswith("leave this file out"):
-        return BadInput(f"{error}: {line}")
+        return BadInput(f"{error}: {exclusion}")
     if any(map(is_time, headers_of([path])[path])):
         return error
-    return BadInput(f"{error}; or leave it out: {line}")
+    return BadInput(f"{error}; or leave it out: {exclusion}")
 
 
 def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
@@ -144,31 +148,35 @@ def headers_of(files: Iterable[Path]) -> dict[Path, list[str]]:
 def read_file(path: Path, name: str, meta: LogMeta) -> list[RawTrial]:
     """The trials of one CSV or NPZ file: one, or one for each value of its `trial` column."""
     header, rename, rate = column_names(path), meta.columns, meta.rows_per_second
-    places = _places(path, header, rename)
-    given = _lists(path, header, rename) | {theirs: new for new, theirs in rename.items()}
-    named = {
-        column: given.get(column, column)
+    place_names = _places(path, header, rename)
+    given_names = _lists(path, header, rename) | {theirs: new for new, theirs in rename.items()}
+    name_of = {
+        column: given_names.get(column, column)
         for column in header
-        if column in given or column not in rename
+        if column in given_names or column not in rename
     }
     wanted = [
         column
-        for column, ours in named.items()
+        for column, ours in name_of.items()
         if (role(ours) is not None or ours in COUNTERS) and not is_ignored(ours, meta.ignore)
     ]
-    labels = next((column for column in wanted if named[column] in TRIAL), None)
-    timed = any(named[column] in TIME for column in wanted)
-    if path.suffix.lower() == ".npz" and not timed and rate is None:
+    labels = next((column for column in wanted if name_of[column] in TRIAL), None)
+    has_time = any(name_of[column] in TIME for column in wanted)
+    if path.suffix.lower() == ".npz" and not has_time and rate is None:
         raise _no_time(path, header)
-    here = {column: named[column] for column in wanted if column != labels}
-    if not here and len(header) == 1 and len(header[0].split()) > 1:
-        here = {"time": "time", "q1": "q1"}  # so that it is told what the header is
-    table = _read(path, here | {_whole(place): _whole(place) for place in places}, places)
+    data_columns = {column: name_of[column] for column in wanted if column != labels}
+    if not data_columns and len(header) == 1 and len(header[0].split()) > 1:
+        data_columns = {"time": "time", "q1": "q1"}  # so that it is told what the header is
+    table = _read(
+        path,
+        data_columns | {_list_name(place): _list_name(place) for place in place_names},
+        place_names,
+    )
     table = replace(table, ignored=tuple(c for c in table.ignored if c != labels))
-    if rate is not None and not timed:
+    if rate is not None and not has_time:
         columns = {"time": np.arange(len(table.lines)) / rate, **table.columns}
-        taken = f"no time: rows taken {rate:g} times a second, as declared"
-        table = replace(table, columns=columns, notes=(*table.notes, taken))
+        note = f"no time: rows taken {rate:g} times a second, as declared"
+        table = replace(table, columns=columns, notes=(*table.notes, note))
     time = next((column for column in table.columns if column in TIME), None)
     if time is None:
         raise _no_time(path, header)
@@ -197,7 +205,7 @@ def _places(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[st
     for ours, theirs in rename.items():
         if theirs in header:
             continue
-        if _whole(theirs) not in header:
+        if _list_name(theirs) not in header:
             raise BadInput(
                 f"{path}: has no column {theirs!r}, which [columns] gives to {ours}; "
                 f"{suggest(theirs, header)}"
@@ -210,21 +218,22 @@ def _restarted(
     path: Path, name: str, table: LogTable, time: np.ndarray
 ) -> list[tuple[str, LogTable]]:
     """The table, cut where its clock or its header starts again."""
-    parts = headed_again(table.lines, table.again) or restarted(time)
+    parts = cut_at_headers(table.lines, table.again) or cut_at_restarts(time)
     if not parts:
         return [(name, table)]
-    who = naming(cells_of(path, table.lines), time)
-    last = f"{name}_{len(parts)}"
-    what = "header" if table.again else "clock"
-    reported = (
-        f"the {what} of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to {last}"
+    label_column = trial_column(cells_of(path, table.lines), time)
+    last_name = f"{name}_{len(parts)}"
+    restarting = "header" if table.again else "clock"
+    note = (
+        f"the {restarting} of {path.name} starts again: taken as {len(parts)} trials, {name}_1 to "
+        f"{last_name}"
     )
-    if who:
-        more = f'; [columns] trial = "{who}" in meta.toml calls them by that column'
+    if label_column:
+        hint = f'; [columns] trial = "{label_column}" in meta.toml calls them by that column'
     else:
-        more = ""
-    table = replace(table, notes=(*table.notes, reported + more))
-    return [(f"{name}_{k}", _rows(table, part)) for k, part in enumerate(parts, 1)]
+        hint = ""
+    table = replace(table, notes=(*table.notes, note + hint))
+    return [(f"{name}_{k}", _with_rows(table, part)) for k, part in enumerate(parts, 1)]
 
 
 def _mend(
@@ -240,11 +249,13 @@ def _mend(
     Args:
         theirs: Its column.
     """
-    found = pair(header)
-    if found and theirs in found and NANOS not in rename:
-        return f"it has two parts, write {both(*found)} in meta.toml"
-    if who := naming(cells_of(path, table.lines), time):
-        return f'column {who} seems to name trials, write [columns] trial = "{who}" in meta.toml'
+    time_parts = find_time_parts(header)
+    if time_parts and theirs in time_parts and NANOS not in rename:
+        return f"it has two parts, write {time_parts_line(*time_parts)} in meta.toml"
+    if label := trial_column(cells_of(path, table.lines), time):
+        return (
+            f'column {label} seems to name trials, write [columns] trial = "{label}" in meta.toml'
+        )
     return ""
 
 
@@ -271,23 +282,23 @@ def _lists(path: Path, header: list[str], rename: Mapping[str, str]) -> dict[str
         lists = []
     else:
         lists = [name for name in list_columns(path) if role(name) is None]
-    out = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
-    taken = set(rename) | {name for name in header if name not in lists}
-    return {name: stem for name, stem in out.items() if stem not in taken}
+    stem_of = {name: STEMS[name.lower()] for name in lists if name.lower() in STEMS}
+    taken_names = set(rename) | {name for name in header if name not in lists}
+    return {name: stem for name, stem in stem_of.items() if stem not in taken_names}
 
 
 def _no_time(path: Path, header: list[str]) -> BadInput:
-    if found := pair(header):
+    if time_parts := find_time_parts(header):
         return BadInput(
-            f"{path}: column 'time' is missing; it seems to have two parts, write {both(*found)} "
-            "in meta.toml"
+            f"{path}: column 'time' is missing; it seems to have two parts, write "
+            f"{time_parts_line(*time_parts)} in meta.toml"
         )
     if header:
-        some = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})"
+        listed = f" (there are {', '.join(header[:8])}{', ...' if len(header) > 8 else ''})"
     else:
-        some = ""
+        listed = ""
     return BadInput(
-        f"{path}: column 'time' is missing{some}; add it (s), or name it by [columns] time = "
+        f"{path}: column 'time' is missing{listed}; add it (s), or name it by [columns] time = "
         f'"..." in meta.toml, or write rows_per_second = 100.0 there'
     )
 
@@ -303,7 +314,7 @@ def column_names(path: Path) -> list[str]:
     return rows[0]
 
 
-def _whole(name: str) -> str:
+def _list_name(name: str) -> str:
     """The list or array of a place of one (`q[2]`); another name as it is."""
     part = stem_and_place(name)
     return part[0] if part else name
@@ -313,38 +324,39 @@ def _read(path: Path, named: Mapping[str, str], places: Mapping[str, str]) -> Lo
     """`read_table` of the columns in `named` (theirs -> ours); of lists and arrays `[T, n]` by
     place: `q` gives q1 to qn, or those `places` (`q[2]` -> ours) alone that are named.
     """
-    lists = {_whole(place) for place in places}
-    table = read_table(path, tuple(named), ours=_Named(named), whole=False)
+    lists = {_list_name(place) for place in places}
+    table = read_table(path, tuple(named), ours=_Named(named), is_strict=False)
     rows = np.array([np.zeros(len(table.lines)), *table.columns.values()])
-    if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.few:
+    if np.isinf(rows).any() or np.isnan(rows).any(0).mean() > TABLE.max_missing_share:
         check_missing(path, table.columns, table.lines, table.row_word, _Named(named))
-    if lacks := [place for place in places if place not in table.columns]:
+    if missing_places := [place for place in places if place not in table.columns]:
         raise BadInput(
-            f"{path}: has no place {lacks[0]!r}, which [columns] gives to {places[lacks[0]]}; "
+            f"{path}: has no place {missing_places[0]!r}, which [columns] gives to "
+            f"{places[missing_places[0]]}; "
             "count from 0"
         )
     named = {**named, **places}
-    columns = {n: x for n, x in table.columns.items() if n in places or _whole(n) not in lists}
+    columns = {n: x for n, x in table.columns.items() if n in places or _list_name(n) not in lists}
     orders: dict[str, list[str]] = {}
     for name in columns:
         part = None if name in named else stem_and_place(name)
         if part is None:
             continue
         orders.setdefault(part[0], []).append(name)
-        one = role(named[part[0]])
-        if one is not None and one.joint is not None:
+        column_role = role(named[part[0]])
+        if column_role is not None and column_role.joint is not None:
             parts = sum((stem_and_place(c) or ("",))[0] == part[0] for c in table.columns)
             raise BadInput(
                 f"{path}: column {part[0]!r} is one joint's and has shape ({len(table.lines)}, "
-                f"{parts}); save one number for each row, or call it {one.stem} for a number of "
-                "each joint"
+                f"{parts}); save one number for each row, or call it {column_role.stem} for a "
+                "number of each joint"
             )
     units = {_ours(name, named): unit for name, unit in table.units.items() if name in named}
     notes = tuple(
         f"{name} holds a number for each joint, without names: taken in the model's order; "
         f'[columns] {named[name]} = ["{name}[1]", "{name}[0]"] is another'
-        for name, own in orders.items()
-        if len(own) > 1
+        for name, place_columns in orders.items()
+        if len(place_columns) > 1
     )
     columns = {_ours(name, named): values for name, values in columns.items()}
     return replace(table, columns=columns, units=units, notes=(*table.notes, *notes))
@@ -387,11 +399,11 @@ def _labelled(path: Path, column: str, table: LogTable) -> list[tuple[str, LogTa
                 f"{path}: {table.row_word} {table.lines[rows[0]]}: column {column} is empty; name "
                 "the trial"
             )
-        parts.append((_plain(label), _rows(table, rows)))
+        parts.append((_trial_label(label), _with_rows(table, rows)))
     return parts
 
 
-def _rows(table: LogTable, rows: np.ndarray | slice) -> LogTable:
+def _with_rows(table: LogTable, rows: np.ndarray | slice) -> LogTable:
     columns = {name: values[rows] for name, values in table.columns.items()}
     return replace(table, columns=columns, lines=table.lines[rows])
 
@@ -405,22 +417,23 @@ def cells_of(path: Path, lines: np.ndarray | None = None) -> dict[str, list[str]
         if lines is not None:
             arrays = {name: x[lines[lines <= len(x)] - 1] for name, x in arrays.items()}
         return {name: [str(value) for value in x] for name, x in arrays.items()}
-    found = csv_rows(path)
-    at = dict(zip(found.lines, found.rows, strict=True))
-    header = {name: place for place, name in reversed(list(enumerate(found.rows[0])))}
+    csv = csv_rows(path)
+    cells_at = dict(zip(csv.lines, csv.rows, strict=True))
+    header = {name: place for place, name in reversed(list(enumerate(csv.rows[0])))}
 
     def cell(row, place):
         if place < len(row):
             return row[place].strip().strip('"')
         return ""
 
-    here = found.lines[1:] if lines is None else [int(line) for line in lines]
+    line_numbers = csv.lines[1:] if lines is None else [int(line) for line in lines]
     return {
-        name: [cell(at.get(line, []), place) for line in here] for name, place in header.items()
+        name: [cell(cells_at.get(line, []), place) for line in line_numbers]
+        for name, place in header.items()
     }
 
 
-def _plain(label: str) -> str:
+def _trial_label(label: str) -> str:
     """`3.0` is trial 3."""
     if re.fullmatch(r"\d+\.0", label):
         return label.removesuffix(".0")

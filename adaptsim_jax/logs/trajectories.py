@@ -38,14 +38,14 @@ class Plan:
         return max(self.begin, self.comes)
 
 
-def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
+def plan_of(message: Any, stamp: float | None, comes: float) -> Plan:
     """A message of a trajectory or of an action's goal.
 
     Args:
-        stamped: Its own time, None where it has none and so begins as it comes.
+        stamp: Its own time, None where it has none and so begins as it comes.
     """
     inner = message.goal.trajectory if hasattr(message, "goal") else message
-    begin = comes if stamped is None else stamped
+    begin = comes if stamp is None else stamp
     points = tuple(
         (
             begin + nanoseconds(p.time_from_start) * 1e-9,
@@ -57,7 +57,7 @@ def plan_of(message: Any, stamped: float | None, comes: float) -> Plan:
     return Plan(begin, comes, tuple(inner.joint_names), points)
 
 
-def followed(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
+def followed_commands(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
     """What is commanded to each joint.
 
     Args:
@@ -68,19 +68,19 @@ def followed(plans: Sequence[Plan], angle: Angle, hold: bool) -> list[Series]:
     joints = dict.fromkeys(joint for plan in plans for joint in plan.joints)
     out = []
     for joint in joints:
-        own = [plan for plan in plans if joint in plan.joints or not plan.joints]
+        joint_plans = [plan for plan in plans if joint in plan.joints or not plan.joints]
         if hold:
-            time, value = _held(own, joint, angle)
+            time, value = _held_points(joint_plans, joint, angle)
         else:
-            time, value = _ramped(own, joint, angle)
+            time, value = _ramped_points(joint_plans, joint, angle)
         if len(time):
             out.append(
-                Series(np.array(time), {f"target_{joint}": np.array(value)}, straight=not hold)
+                Series(np.array(time), {f"target_{joint}": np.array(value)}, is_linear=not hold)
             )
     return out
 
 
-def sampled(series: Series, rows: np.ndarray) -> Series:
+def sample_and_hold(series: Series, rows: np.ndarray) -> Series:
     """What moves from point to point as a controller has it that looks at `rows [T]` s, and holds
     what it has between them.
     """
@@ -101,66 +101,72 @@ def _points(plan: Plan, joint: str) -> tuple[list[Point], list[Point]]:
     """
     if joint not in plan.joints:
         return [], []
-    j, whole = plan.joints.index(joint), len(plan.joints)
+    j, n_joints = plan.joints.index(joint), len(plan.joints)
 
     def speed(v):
-        if len(v) == whole:
+        if len(v) == n_joints:
             return float(v[j])
         return np.nan
 
-    points = [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == whole]
+    points = [(t, float(q[j]), speed(v)) for t, q, v in plan.points if len(q) == n_joints]
     return [p for p in points if p[0] <= plan.takes_over], [
         p for p in points if p[0] > plan.takes_over
     ]
 
 
-def _held(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
+def _held_points(
+    plans: Sequence[Plan], joint: str, angle: Angle
+) -> tuple[list[float], list[float]]:
     time: list[float] = []
     value: list[float] = []
     for plan in plans:
-        at = plan.takes_over
-        k = int(np.searchsorted(time, at))
-        now = value[k - 1] if k else None
+        start = plan.takes_over
+        k = int(np.searchsorted(time, start))
+        current = value[k - 1] if k else None
         time, value = time[:k], value[:k]
         passed, ahead = _points(plan, joint)
         if passed:
-            ahead = [(at, *passed[-1][1:]), *ahead]
-        elif now is None:
-            ahead = [(at, angle(joint, at), 0.0), *ahead]
+            ahead = [(start, *passed[-1][1:]), *ahead]
+        elif current is None:
+            ahead = [(start, angle(joint, start), 0.0), *ahead]
         time += [p[0] for p in ahead]
         value += [p[1] for p in ahead]
     return time, value
 
 
-def _ramped(plans: Sequence[Plan], joint: str, angle: Angle) -> tuple[list[float], list[float]]:
+def _ramped_points(
+    plans: Sequence[Plan], joint: str, angle: Angle
+) -> tuple[list[float], list[float]]:
     time: list[float] = []
     value: list[float] = []
     for plan in plans:
-        at = plan.takes_over
+        start = plan.takes_over
         if time:
-            here = float(np.interp(at, time, value))
+            current = float(np.interp(start, time, value))
         else:
-            here = angle(joint, at)
-        k = int(np.searchsorted(time, at))
+            current = angle(joint, start)
+        k = int(np.searchsorted(time, start))
         if 0 < k < len(time):
             speed = (value[k] - value[k - 1]) / (time[k] - time[k - 1])
         else:
             speed = 0.0
-        begins = not time
+        is_first = not time
         time, value = time[:k], value[:k]
         passed, ahead = _points(plan, joint)
         if passed and not ahead:  # no time to move is given: a step
-            time = [*time, at, at + STEP] if not begins else [at]
-            if not begins:
-                value = [*value, here, passed[-1][1]]
+            time = [*time, start, start + STEP] if not is_first else [start]
+            if not is_first:
+                value = [*value, current, passed[-1][1]]
             else:
                 value = [passed[-1][1]]
             continue
-        if passed and begins:
+        if passed and is_first:
             (t0, q0, _), (t1, q1, _) = passed[-1], ahead[0]
-            here = float(np.interp(at, [t0, t1], [q0, q1]))
-        time, value = [*time, at], [*value, here]
-        for (t0, q0, v0), (t1, q1, v1) in zip([(at, here, speed), *ahead], ahead, strict=False):
+            current = float(np.interp(start, [t0, t1], [q0, q1]))
+        time, value = [*time, start], [*value, current]
+        for (t0, q0, v0), (t1, q1, v1) in zip(
+            [(start, current, speed), *ahead], ahead, strict=False
+        ):
             if np.isfinite(v1) and np.isfinite(v0):
                 s = np.linspace(0.0, 1.0, FINE + 1)[1:]
                 h = t1 - t0

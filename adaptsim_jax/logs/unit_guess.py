@@ -18,7 +18,7 @@ from adaptsim_jax.logs.headings import HeadingUnit, heading_unit, lines
 from adaptsim_jax.logs.log import ModelNames
 from adaptsim_jax.logs.log_units import LENGTH_UNITS, TIME_UNITS
 from adaptsim_jax.logs.scales import Scale, lengths_within, scales_of, times_range
-from adaptsim_jax.logs.speeds import DEGREE, MISTAKES, agreement, common
+from adaptsim_jax.logs.speeds import DEGREE, MISTAKES, agreement, common_ratio
 
 
 @dataclass(frozen=True)
@@ -33,8 +33,8 @@ Units = dict[str, tuple[str | Scale | Question, str]]
 
 @dataclass(frozen=True)
 class _Columns:
-    """Columns as written by joint, as the columns name it: of joints that turn, and of those that
-    slide. `name`: the joint's own.
+    """Columns `q`, `v`, `target` as written, by joint as the columns call it, of joints that turn
+    or of those that slide. `name`: the joint's own; `servos`: joints that a servo drives.
     """
 
     q: dict[int | str | None, np.ndarray]
@@ -47,7 +47,7 @@ class _Columns:
     def reach(self, joint: int | str | None) -> float:
         return float(np.nanmax(np.abs(self.q[joint]), initial=0.0))
 
-    def reaches(self, joint: int | str | None) -> str:
+    def reach_text(self, joint: int | str | None) -> str:
         """How far a joint moves, and how far its model lets it, in words."""
         low, high = self.limits[joint]
         reached = f"{self.name[joint]} reaches {self.reach(joint):.4g}"
@@ -73,34 +73,34 @@ def guess_units(
     """
     roles = roles_of(columns, joints)
     scales = _scales(columns, roles, joints, lerobot, model)
-    reported = [
-        one
-        for name, found in roles.items()
-        if (one := _of_heading(name, found, roles, headings or {}, model))
+    heading_units = [
+        row
+        for name, column_role in roles.items()
+        if (row := _of_heading(name, column_role, roles, headings or {}, model))
     ]
-    reported = [
-        one
-        for one in reported
-        if one.quantity not in ("angle", "length") or str(roles[one.column].joint) not in scales
+    heading_units = [
+        row
+        for row in heading_units
+        if row.quantity not in ("angle", "length") or str(roles[row.column].joint) not in scales
     ]
     out: Units = {}
-    for key, one in lines(reported).items():
-        differ = any(
-            t.quantity == one.quantity and t.unit != one.unit and t.slides == one.slides
-            for t in reported
+    for key, row in lines(heading_units).items():
+        is_contradicted = any(
+            t.quantity == row.quantity and t.unit != row.unit and t.slides == row.slides
+            for t in heading_units
             if t.fits
         )
-        if one.quantity and differ:
-            also = f"; other headings of {one.quantity} say otherwise"
+        if row.quantity and is_contradicted:
+            caveat = f"; other headings of {row.quantity} say otherwise"
         else:
-            also = ""
+            caveat = ""
         if key != "time":
-            out[key] = (one.unit, f"the heading says so ({one.heading}){also}")
-    for one in reported:
-        if not one.fits:
-            why = f"the heading says so ({one.heading}), but that is no unit of {one.quantity}"
-            out[one.column] = (Question(one.unit), why)
-    out = _time(columns, next((one for one in reported if one.quantity == "time"), None)) | out
+            out[key] = (row.unit, f"the heading says so ({row.heading}){caveat}")
+    for row in heading_units:
+        if not row.fits:
+            why = f"the heading says so ({row.heading}), but that is no unit of {row.quantity}"
+            out[row.column] = (Question(row.unit), why)
+    out = _time(columns, next((row for row in heading_units if row.quantity == "time"), None)) | out
     out |= {scale.line.partition(" ")[0]: (scale, scale.why) for scale in scales.values()}
     time = next((columns[name] for name in TIME if name in columns), None)
     unit = out.get("time", ("s", ""))[0]
@@ -109,37 +109,37 @@ def guess_units(
     else:
         seconds = time * TIME_UNITS[unit]
     turning, sliding = (_by_joint(columns, roles, scales, model, kind) for kind in (False, True))
-    out = _lengths(out, reported, seconds, sliding)
-    return _angles(out, reported, seconds, turning, lerobot, model is None)
+    out = _lengths(out, heading_units, seconds, sliding)
+    return _angles(out, heading_units, seconds, turning, lerobot, model is None)
 
 
 def _of_heading(
     name: str,
-    found: Role,
+    column_role: Role,
     roles: Mapping[str, Role],
     headings: Mapping[str, str],
     model: ModelNames | None,
 ) -> HeadingUnit | None:
-    j = _index(found, roles, model)
+    j = _index(column_role, roles, model)
     if model is None or j is None:
         slides = None
     else:
         slides = model.joints[j] in model.slides
     return heading_unit(
-        name, headings.get(name, name), found, slides, model.joints if model else ()
+        name, headings.get(name, name), column_role, slides, model.joints if model else ()
     )
 
 
-def _index(found: Role, roles: Mapping[str, Role], model: ModelNames | None) -> int | None:
+def _index(column_role: Role, roles: Mapping[str, Role], model: ModelNames | None) -> int | None:
     """The number of the model's joint that a column speaks of; None where that is not known."""
-    if model is None or found.stem == "ctrl":
+    if model is None or column_role.stem == "ctrl":
         return None
-    if isinstance(found.joint, str):
-        if found.joint in model.joints:
-            return model.joints.index(found.joint)
+    if isinstance(column_role.joint, str):
+        if column_role.joint in model.joints:
+            return model.joints.index(column_role.joint)
         return None
     first = 0 if any(r.joint == 0 for r in roles.values()) else 1
-    j = 0 if found.joint is None else found.joint - first
+    j = 0 if column_role.joint is None else column_role.joint - first
     if 0 <= j < len(model.joints):
         return j
     return None
@@ -154,9 +154,9 @@ def _scales(
 ) -> dict[str, Scale]:
     """Scales that are no units of angle, by joint as the columns name it."""
     by_joint: dict[str, list[np.ndarray]] = {}
-    for name, found in roles.items():
-        if found.stem in ("q", "target") and found.joint is not None:
-            by_joint.setdefault(str(found.joint), []).append(columns[name])
+    for name, column_role in roles.items():
+        if column_role.stem in ("q", "target") and column_role.joint is not None:
+            by_joint.setdefault(str(column_role.joint), []).append(columns[name])
     ranges = {j: limits for k, j in enumerate(joints) if model and (limits := model.limits_of(k))}
     return scales_of(by_joint, tuple(by_joint), lerobot, ranges)
 
@@ -170,20 +170,20 @@ def _by_joint(
 ) -> _Columns:
     by_stem: dict[str, dict[int | str | None, np.ndarray]] = {"q": {}, "v": {}, "target": {}}
     names, limits, servos = {}, {}, set()
-    for name, found in roles.items():
-        joint, j = found.joint, _index(found, roles, model)
-        own = model.joints[j] if model is not None and j is not None else None
-        goes = model is not None and own in model.slides
-        scaled = found.stem != "v" and str(joint) in scales
-        if found.stem not in by_stem or goes != slides or scaled:
+    for name, column_role in roles.items():
+        joint, j = column_role.joint, _index(column_role, roles, model)
+        joint_name = model.joints[j] if model is not None and j is not None else None
+        is_slide = model is not None and joint_name in model.slides
+        has_scale = column_role.stem != "v" and str(joint) in scales
+        if column_role.stem not in by_stem or is_slide != slides or has_scale:
             continue
-        by_stem[found.stem][joint] = columns[name]
-        names[joint] = own or str(joint or name)
+        by_stem[column_role.stem][joint] = columns[name]
+        names[joint] = joint_name or str(joint or name)
         if model is None or j is None:
             continue
         if bounds := model.limits_of(j):
             limits[joint] = bounds
-        if any(a.kind == "position" and a.joint == own for a in model.actuators or ()):
+        if any(a.kind == "position" and a.joint == joint_name for a in model.actuators or ()):
             servos.add(joint)
     return _Columns(**by_stem, name=names, limits=limits, servos=frozenset(servos))
 
@@ -198,13 +198,13 @@ def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:
     if step is None:
         name = None
     else:
-        name = next((n for n, s in TIME_UNITS.items() if step * s <= TABLE.slowest), "ns")
+        name = next((n for n, s in TIME_UNITS.items() if step * s <= TABLE.max_interval), "ns")
     if heading is None:
         if name in (None, "s"):
             return {}
         return {"time": (name, f"a row every {step:.4g}")}
     why = f"the heading says so ({heading.heading})"
-    if step is not None and not TABLE.fastest <= step * heading.scale <= TABLE.slowest:
+    if step is not None and not TABLE.min_interval <= step * heading.scale <= TABLE.max_interval:
         why += (
             f", but a row every {step:.4g} "
             f"{'looks like ' + str(name) if name != heading.unit else 'looks like a larger unit'}"
@@ -215,43 +215,45 @@ def _time(columns: dict[str, np.ndarray], heading: HeadingUnit | None) -> Units:
 
 
 def _lengths(
-    out: Units, reported: Sequence[HeadingUnit], time: np.ndarray | None, observed: _Columns
+    out: Units, heading_units: Sequence[HeadingUnit], time: np.ndarray | None, columns: _Columns
 ) -> Units:
-    """With the unit of sliding joints' ways, by the headings, else by their speeds, ranges,
-    sizes.
+    """Add the unit of sliding joints' positions to `out`, by the headings, else by their speeds,
+    ranges, sizes.
     """
-    if any(one.quantity == "length" and one.fits for one in reported):
+    if any(row.quantity == "length" and row.fits for row in heading_units):
         return out
-    gain = None if time is None else _gain(time, observed.q, observed.v)
-    own = [one.scale for one in reported if one.quantity == "velocity" and one.slides and one.fits]
+    gain = None if time is None else _gain(time, columns.q, columns.v)
+    speed_scales = [
+        row.scale for row in heading_units if row.quantity == "velocity" and row.slides and row.fits
+    ]
     if gain is not None:  # of speeds in m/s, where no heading says otherwise
         for unit, scale in LENGTH_UNITS.items():
-            if scale != 1.0 and _like(gain * (own[0] if own else 1.0), scale):
-                if own:
+            if scale != 1.0 and _like(gain * (speed_scales[0] if speed_scales else 1.0), scale):
+                if speed_scales:
                     speeds = {}
                 else:
                     speeds = {
-                        f"v_{observed.name[j]}": ("m/s", "see length")
-                        for j in observed.v
-                        if j in observed.q
+                        f"v_{columns.name[j]}": ("m/s", "see length")
+                        for j in columns.v
+                        if j in columns.q
                     }
                 return out | {"length": (unit, "ways against speeds tell")} | speeds
         return out
-    for joint in observed.q:
-        reach, name = observed.reach(joint), observed.name[joint]
-        if (limits := observed.limits.get(joint)) and (
+    for joint in columns.q:
+        reach, name = columns.reach(joint), columns.name[joint]
+        if (limits := columns.limits.get(joint)) and (
             units := lengths_within(times_range(reach, limits))
         ):
             low, high = limits
             why = f"{name} reaches {reach:.4g}, its range in the model is {low:g} to {high:g} m"
-            sure = len(units) == 1
+            is_unique = len(units) == 1
             return out | {
                 "length": (
-                    units[0] if sure else Question(units[0]),
-                    why if sure else f"{why}: {' or '.join(units)}?",
+                    units[0] if is_unique else Question(units[0]),
+                    why if is_unique else f"{why}: {' or '.join(units)}?",
                 )
             }
-        if limits is None and reach > UNIT.long:
+        if limits is None and reach > UNIT.max_slide_length:
             return out | {
                 "length": (
                     Question("mm"),
@@ -263,29 +265,31 @@ def _lengths(
 
 def _angles(
     out: Units,
-    reported: Sequence[HeadingUnit],
+    heading_units: Sequence[HeadingUnit],
     time: np.ndarray | None,
-    observed: _Columns,
+    columns: _Columns,
     lerobot: bool,
     unknown: bool,
 ) -> Units:
-    """With the units of angles and of their speeds."""
-    gain = None if time is None else _gain(time, observed.q, observed.v)
-    angle = {one.scale for one in reported if one.quantity == "angle" and one.fits}
+    """Add the units of angles and of their speeds to `out`."""
+    gain = None if time is None else _gain(time, columns.q, columns.v)
+    angle = {row.scale for row in heading_units if row.quantity == "angle" and row.fits}
     speed = {
-        one.scale for one in reported if one.quantity == "velocity" and one.fits and not one.slides
+        row.scale
+        for row in heading_units
+        if row.quantity == "velocity" and row.fits and not row.slides
     }
     if angle or speed:
-        return _by_headings(out, gain, angle, speed, observed)
+        return _by_headings(out, gain, angle, speed, columns)
     for size, (_, units) in MISTAKES.items():
         if gain is not None and "time" not in units and _like(gain, size):
             why = f"speeds are {gain:.3g} times the angles' slopes"
             return out | {key: (unit, why) for key, unit in units.items()}
-    return out | _by_size(time, observed, lerobot, unknown)
+    return out | _by_size(time, columns, lerobot, unknown)
 
 
 def _by_headings(
-    out: Units, gain: float | None, angle: set[float], speed: set[float], observed: _Columns
+    out: Units, gain: float | None, angle: set[float], speed: set[float], columns: _Columns
 ) -> Units:
     """What headings say of angles and speeds, with what follows for the others, and what
     contradicts them.
@@ -315,60 +319,60 @@ def _by_headings(
                 "heading",
             )
         }
-    for joint, limits in observed.limits.items():
-        if joint in observed.q:
-            times = times_range(observed.reach(joint), limits)
+    for joint, limits in columns.limits.items():
+        if joint in columns.q:
+            times = times_range(columns.reach(joint), limits)
         else:
             times = 0.0
         if (
             angle == {1.0}
-            and times > UNIT.hint
-            and times * DEGREE <= UNIT.inside
+            and times > UNIT.hint_ranges
+            and times * DEGREE <= UNIT.max_ranges_in_unit
             and "angle" in out
         ):
             unit, why = out["angle"]
-            return out | {"angle": (unit, f"{why}, but {observed.reaches(joint)} rad")}
+            return out | {"angle": (unit, f"{why}, but {columns.reach_text(joint)} rad")}
     return out
 
 
-def _by_size(time: np.ndarray | None, observed: _Columns, lerobot: bool, unknown: bool) -> Units:
+def _by_size(time: np.ndarray | None, columns: _Columns, lerobot: bool, unknown: bool) -> Units:
     """Degrees, where something beside the size backs them; a question where the size is all there
     is.
 
     Args:
         unknown: No model is known.
     """
-    asked: Units = {}
-    for joint, q in observed.q.items():
-        reach = observed.reach(joint)
-        if reach <= UNIT.large:
+    questions: Units = {}
+    for joint, q in columns.q.items():
+        reach = columns.reach(joint)
+        if reach <= UNIT.max_angle:
             continue
-        limits = observed.limits.get(joint)
+        limits = columns.limits.get(joint)
         if (
             limits
-            and times_range(reach, limits) > UNIT.hint
-            and times_range(reach, limits) * DEGREE <= UNIT.inside
+            and times_range(reach, limits) > UNIT.hint_ranges
+            and times_range(reach, limits) * DEGREE <= UNIT.max_ranges_in_unit
         ):
-            why = f"{observed.reaches(joint)} rad"
+            why = f"{columns.reach_text(joint)} rad"
             return {"angle": ("deg", why)}
         turns = f"angles reach {reach:.4g}; rad, if the joint turns {reach / (2 * np.pi):.2g} times"
         fast = (
             time is not None
-            and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > UNIT.swift
-            and reach <= UNIT.degrees
+            and np.nanquantile(np.abs(np.gradient(q, time)), 0.99) > UNIT.min_degree_speed
+            and reach <= UNIT.max_degrees
         )
-        if lerobot or (fast and (unknown or joint in observed.servos)):
+        if lerobot or (fast and (unknown or joint in columns.servos)):
             return {"angle": ("deg", turns)}
-        asked = asked or {"angle": (Question("deg"), turns)}
-    return asked
+        questions = questions or {"angle": (Question("deg"), turns)}
+    return questions
 
 
 def _like(gain: float, scale: float) -> bool:
-    return abs(np.log(gain / scale)) < UNIT.alike
+    return abs(np.log(gain / scale)) < UNIT.log_tolerance
 
 
 def _gain(time: np.ndarray, angles: dict, speeds: dict) -> float | None:
     """Logged speed over the slope of the angle, where joints agree on it."""
-    both = [(angles[joint], v) for joint, v in speeds.items() if joint in angles]
-    gain = common([found for q, v in both if (found := agreement(time, q, v))])
+    pairs = [(angles[joint], v) for joint, v in speeds.items() if joint in angles]
+    gain = common_ratio([estimate for q, v in pairs if (estimate := agreement(time, q, v))])
     return gain if gain is not None and gain > 0 else None

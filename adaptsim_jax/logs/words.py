@@ -38,12 +38,20 @@ def word_of(parts: Sequence[np.ndarray]) -> str:
     `WORDS`; '' where they are as they are: nothing leaps, or no word explains it.
     """
     raw = [x[np.isfinite(x)] for x in parts]
-    every, leap = np.concatenate(raw), _leap(raw)
-    if leap < WORD.leap or np.any(every != np.round(every)):
+    all_readings, largest_leap = np.concatenate(raw), _leap(raw)
+    if largest_leap < WORD.min_leap or np.any(all_readings != np.round(all_readings)):
         return ""
-    read = {how: [way(x) for x in raw] for how, way in WORDS.items()}
-    good = [how for how, own in read.items() if _leap(own) < WORD.left * leap]
-    return min(good, key=lambda h: sum(np.sum(np.abs(np.diff(x))) for x in read[h]), default="")
+    readings_by_word = {word: [decode(x) for x in raw] for word, decode in WORDS.items()}
+    candidates = [
+        word
+        for word, readings in readings_by_word.items()
+        if _leap(readings) < WORD.max_leap_ratio * largest_leap
+    ]
+    return min(
+        candidates,
+        key=lambda h: sum(np.sum(np.abs(np.diff(x))) for x in readings_by_word[h]),
+        default="",
+    )
 
 
 UNANSWERED = (-1.0, 2.0**16 - 1, 2.0**32 - 1)
@@ -54,15 +62,17 @@ def unanswered(x: np.ndarray) -> np.ndarray:
     """Rows `[T]` in which a register was not read: a few with all bits set, far from the readings
     before and after, which agree. None where readings are no whole numbers.
     """
-    own = np.isfinite(x) & ~np.isin(x, UNANSWERED)
-    raw = x[own]
-    if not 0 < np.mean(~own) <= TABLE.few or np.any(raw != np.round(raw)):
+    is_answered = np.isfinite(x) & ~np.isin(x, UNANSWERED)
+    raw = x[is_answered]
+    if not 0 < np.mean(~is_answered) <= TABLE.max_missing_share or np.any(raw != np.round(raw)):
         return np.zeros(len(x), bool)
-    far = WORD.far * max(float(np.quantile(np.abs(np.diff(raw)), CLOCK.usual_steps)), 1.0)
-    count = np.cumsum(own)
+    max_distance = WORD.max_usual_steps * max(
+        float(np.quantile(np.abs(np.diff(raw)), CLOCK.usual_quantile)), 1.0
+    )
+    count = np.cumsum(is_answered)
     before, after = raw[np.maximum(count - 1, 0)], raw[np.minimum(count, len(raw) - 1)]
-    near = np.minimum(np.abs(x - before), np.abs(x - after))
-    return ~own & (near > far) & (np.abs(before - after) <= far)
+    distance = np.minimum(np.abs(x - before), np.abs(x - after))
+    return ~is_answered & (distance > max_distance) & (np.abs(before - after) <= max_distance)
 
 
 def _leap(parts: Sequence[np.ndarray]) -> float:

@@ -60,8 +60,8 @@ class Coordinate:
 @dataclass(frozen=True)
 class Bodies:
     """A machine in MuJoCo: `model` for torques, where nothing touches; `solid` for contacts; all
-    else than `coordinates` at `pose [nq]`; `least`: m that pairs of bodies keep which are nearer at
-    home.
+    else than `coordinates` at `pose [nq]`; `min_gap`: gap, m, of pairs of bodies which are nearer
+    at home.
     """
 
     model: mujoco.MjModel
@@ -69,10 +69,10 @@ class Bodies:
     pose: np.ndarray
     coordinates: tuple[Coordinate, ...]
     clearance: float
-    least: Mapping[Pair, float] = field(default_factory=dict)
+    min_gap: Mapping[Pair, float] = field(default_factory=dict)
 
     def torques(self, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Of the joints along a motion [T, n], N m or N: inverse dynamics."""
+        """Compute the joints' forces [T, n], N m or N, along a motion: inverse dynamics."""
         data, out = mujoco.MjData(self.model), np.zeros_like(q)
         for t in range(len(q)):
             self._place(data, q[t])
@@ -85,18 +85,18 @@ class Bodies:
         return out
 
     def touching(self, q: np.ndarray) -> tuple[int, str, str] | None:
-        """The first row of a motion [T, n] in which two bodies come too near, and these."""
+        """Return the first row of a motion [T, n] in which two bodies come too near, and these."""
         data = mujoco.MjData(self.solid)
         for t, row in enumerate(q):
-            for pair, gap in self.near(row, data).items():
-                if gap < self.least.get(pair, self.clearance):
+            for pair, gap in self.near_gaps(row, data).items():
+                if gap < self.min_gap.get(pair, self.clearance):
                     one, other = (self.solid.body(b).name for b in pair)
                     return t, one, other
         return None
 
-    def near(self, q: np.ndarray, data: mujoco.MjData | None = None) -> dict[Pair, float]:
-        """Gaps below the clearance, m, by pair of bodies. Bodies that a joint connects and what the
-        file excludes are no pairs, as MuJoCo has it.
+    def near_gaps(self, q: np.ndarray, data: mujoco.MjData | None = None) -> dict[Pair, float]:
+        """Measure the gaps below the clearance, m, by pair of bodies. Bodies that a joint connects
+        and what the file excludes are no pairs, as MuJoCo has it.
         """
         data = mujoco.MjData(self.solid) if data is None else data
         self._place(data, q)
@@ -161,40 +161,40 @@ def allowed(path: str | os.PathLike, margins: Margins = MARGINS) -> Allowed:
     home = np.clip(home, low, high)
     speed = margins.speed * _speeds(source, mechanism, margins, notes)
     torque = margins.torque * _limits(mechanism, model, coordinates, notes)
-    near = bodies.near(home)
-    least = {pair: 0.0 if gap > 0.0 else -np.inf for pair, gap in near.items()}
-    if near:
-        pairs = few(["-".join(solid.body(b).name for b in pair) for pair in near])
+    near_gaps = bodies.near_gaps(home)
+    min_gap = {pair: 0.0 if gap > 0.0 else -np.inf for pair, gap in near_gaps.items()}
+    if near_gaps:
+        pairs = first_names(["-".join(solid.body(b).name for b in pair) for pair in near_gaps])
         notes.append(f"touch or nearly so at home, and may go on to: {pairs}")
-    bodies = replace(bodies, least=least)
+    bodies = replace(bodies, min_gap=min_gap)
     return Allowed(mechanism, bodies, home, low, high, speed, torque, tuple(notes))
 
 
 def _driven(source: Source) -> Mechanism:
     """The tree of the joints that actuators drive, all others held at home; whole without any."""
-    whole = mechanism_of(source)
-    single = {source.model.joint(k).name for k in range(source.model.njnt)}
-    names = {whole.tree.joint_names[a.joint] for a in whole.actuators} & single
-    return mechanism_of(source, logged=names) if names else whole
+    full = mechanism_of(source)
+    joints = {source.model.joint(k).name for k in range(source.model.njnt)}
+    names = {full.tree.joint_names[a.joint] for a in full.actuators} & joints
+    return mechanism_of(source, logged=names) if names else full
 
 
 def _coordinates(source: Source, m: Mechanism) -> tuple[np.ndarray, tuple[Coordinate, ...]]:
-    """Where held joints are [nq], and the joints that move, leaders first."""
+    """Return the pose of held joints [nq], and the joints that move, leaders first."""
     model, names, roles = source.model, m.tree.joint_names, m.roles
     assert roles is not None
-    pose, own, follow = pose_of(model)[0].copy(), [], []
+    pose, leaders, followers = pose_of(model)[0].copy(), [], []
     for k in range(model.njnt):
         name = model.joint(k).name
         at, dof = int(model.jnt_qposadr[k]), int(model.jnt_dofadr[k])
         if name in names:
-            own.append(Coordinate(at, dof, names.index(name)))
+            leaders.append(Coordinate(at, dof, names.index(name)))
         elif name in roles.followers:
             f = roles.followers[name]
-            follow.append(Coordinate(at, dof, names.index(f.leader), f.factor, f.offset))
+            followers.append(Coordinate(at, dof, names.index(f.leader), f.factor, f.offset))
         elif name in roles.held:
             value = np.atleast_1d(roles.held[name])
             pose[at : at + len(value)] = value
-    return pose, (*own, *follow)
+    return pose, (*leaders, *followers)
 
 
 def _ranges(
@@ -202,64 +202,68 @@ def _ranges(
 ) -> tuple[np.ndarray, np.ndarray]:
     tree = m.tree
     turns, limited = np.array([k == "hinge" for k in tree.kinds]), np.array(tree.limited)
-    wide = np.where(turns, margins.turn, margins.slide)
-    low, high = np.where(limited[:, None], tree.range, np.stack([home - wide, home + wide], 1)).T
+    default_range = np.where(turns, margins.turn, margins.slide)
+    low, high = np.where(
+        limited[:, None], tree.range, np.stack([home - default_range, home + default_range], 1)
+    ).T
     if not limited.all():
         _note_missing(
             notes, "range", ~limited, m, f"{margins.turn} rad or {margins.slide} m from home"
         )
-    kept = np.where(limited, margins.range * (high - low), 0.0)
-    return low + kept, high - kept
+    margin = np.where(limited, margins.range * (high - low), 0.0)
+    return low + margin, high - margin
 
 
 def _speeds(source: Source, m: Mechanism, margins: Margins, notes: list[str]) -> np.ndarray:
     """Speed limits [n]; MJCF has none."""
-    known: dict[str, float] = {}
+    declared_speeds: dict[str, float] = {}
     if source.kind == "urdf":
         for joint in ElementTree.parse(source.path).getroot().iter("joint"):
             limit = joint.find("limit")
             if limit is not None and float(limit.get("velocity", 0)) > 0.0:
-                known[joint.get("name", "")] = float(limit.get("velocity", 0))
+                declared_speeds[joint.get("name", "")] = float(limit.get("velocity", 0))
     names, kinds = m.tree.joint_names, m.tree.kinds
-    default = {"hinge": margins.turning, "slide": margins.sliding}
-    without = np.array([name not in known for name in names])
-    if without.any():
+    default_speeds = {"hinge": margins.turning, "slide": margins.sliding}
+    is_missing = np.array([name not in declared_speeds for name in names])
+    if is_missing.any():
         _note_missing(
-            notes, "speed limit", without, m, f"{margins.turning} rad/s, {margins.sliding} m/s"
+            notes, "speed limit", is_missing, m, f"{margins.turning} rad/s, {margins.sliding} m/s"
         )
-    return np.array([known.get(n, default[k]) for n, k in zip(names, kinds, strict=True)])
+    return np.array(
+        [declared_speeds.get(n, default_speeds[k]) for n, k in zip(names, kinds, strict=True)]
+    )
 
 
 def _limits(m: Mechanism, model: mujoco.MjModel, coordinates, notes: list[str]) -> np.ndarray:
     """Torque limits [n]: of actuators together, and of the joints."""
     n = m.tree.n
-    sums = np.zeros(n)
+    limits = np.zeros(n)
     for a in m.actuators:
-        most = np.abs(a.forcerange).min()
+        limit = np.abs(a.forcerange).min()
         if a.kp == 0.0 and a.kv == 0.0:
-            most = np.fmin(most, abs(a.gain) * np.abs(a.ctrlrange).min())
-        sums[a.joint] += abs(a.gear) * most
-    sums[sums == 0.0] = np.nan
+            limit = np.fmin(limit, abs(a.gain) * np.abs(a.ctrlrange).min())
+        limits[a.joint] += abs(a.gear) * limit
+    limits[limits == 0.0] = np.nan
     for c in coordinates:
         k = int(model.dof_jntid[c.dof])
         if model.jnt_actfrclimited[k] and c.factor == 1.0:
-            sums[c.joint] = np.fmin(sums[c.joint], np.abs(model.jnt_actfrcrange[k]).min())
-    if (without := np.isnan(sums)).any():
-        _note_missing(notes, "torque limit", without, m, "none")
-    return np.where(without, np.inf, sums)
+            limits[c.joint] = np.fmin(limits[c.joint], np.abs(model.jnt_actfrcrange[k]).min())
+    if (is_missing := np.isnan(limits)).any():
+        _note_missing(notes, "torque limit", is_missing, m, "none")
+    return np.where(is_missing, np.inf, limits)
 
 
 def _note_missing(
-    notes: list[str], what: str, without: np.ndarray, m: Mechanism, taken: str
+    notes: list[str], quantity: str, is_missing: np.ndarray, m: Mechanism, default: str
 ) -> None:
-    names = few([m.tree.joint_names[j] for j in np.flatnonzero(without)])
-    notes.append(f"the file has no {what} of {names}: {taken} is taken")
+    names = first_names([m.tree.joint_names[j] for j in np.flatnonzero(is_missing)])
+    notes.append(f"the file has no {quantity} of {names}: {default} is taken")
 
 
-def few(names: Sequence[str]) -> str:
+def first_names(names: Sequence[str]) -> str:
     """The first of some names, and how many more there are."""
-    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    return ", ".join(names[:MOST_NAMED]) + more
+    rest = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return ", ".join(names[:MOST_NAMED]) + rest
 
 
 def _solid(path: str, margins: Margins, notes: list[str]) -> mujoco.MjModel:
@@ -271,10 +275,10 @@ def _solid(path: str, margins: Margins, notes: list[str]) -> mujoco.MjModel:
         model = compiled(path, spec)
     except BadInput:
         model = shapeless(path, spec)
-    hard = (model.geom_contype | model.geom_conaffinity) > 0
-    solid = {int(b) for b in model.geom_bodyid[hard]}
-    bare = [b for b in range(1, model.nbody) if b not in solid]
-    for b in bare:
+    is_solid = (model.geom_contype | model.geom_conaffinity) > 0
+    solid_bodies = {int(b) for b in model.geom_bodyid[is_solid]}
+    shapeless_bodies = [b for b in range(1, model.nbody) if b not in solid_bodies]
+    for b in shapeless_bodies:
         ends = [model.body_pos[c] for c in np.flatnonzero(model.body_parentid == b)]
         ends = [
             z for z in ends or [2.0 * model.body_ipos[b]] if np.linalg.norm(z) > margins.stand_in
@@ -286,12 +290,12 @@ def _solid(path: str, margins: Margins, notes: list[str]) -> mujoco.MjModel:
                 size=[margins.stand_in, 0, 0],
                 mass=0,
             )
-    if bare:
-        names = few([model.body(b).name for b in bare])
+    if shapeless_bodies:
+        names = first_names([model.body(b).name for b in shapeless_bodies])
         notes.append(f"no shape that collides is at hand of {names}: capsules stand for them")
-    if 0 not in solid:
+    if 0 not in solid_bodies:
         spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[5, 5, 0.1])
         notes.append("the file has no surroundings: a floor at z = 0 is taken")
-    made = compiled(path, spec)
-    made.geom_margin[:] = margins.clearance
-    return made
+    solid = compiled(path, spec)
+    solid.geom_margin[:] = margins.clearance
+    return solid

@@ -1,4 +1,4 @@
-"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration with its derivatives,
+"""Dynamics of a `Tree`: mass matrix, bias force, regressor, acceleration with derivatives,
 positions and energy.
 
 Arrays are `[n, ...batch]` with the batch last, and all is sums and products over lanes of all
@@ -13,7 +13,8 @@ costs a small matrix product each.
 `inertial [n, 10]`, `gravity [3]` and `armature [n]` are arguments of their own and may carry the
 batch's axes. Rows of `inertial` of bodies that are `tree.massless` are not looked at. Where joints
 follow others (`tree.whole`), all is computed for all joints and brought to the coordinates at the
-end; `inertial` is of the coordinates' own bodies, followers keep theirs.
+end; `inertial` is of the coordinates' own bodies, followers keep theirs. In what follows `full` is
+the tree of all joints, `inertias` the inertial parameters of all its bodies.
 """
 
 from dataclasses import replace
@@ -24,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.trig import once
-from adaptsim_jax.mechanisms.kinematics import Pose, chain, lifted, together
+from adaptsim_jax.mechanisms.kinematics import Pose, chain, stack_poses, with_batch_axes
 from adaptsim_jax.mechanisms.lanes import (
     IDENTITY,
     ZERO,
@@ -40,28 +41,28 @@ from adaptsim_jax.mechanisms.lanes import (
     cross_wrench,
     dot,
     dot_pair,
-    known,
+    is_static,
     minus,
     momentum,
-    moved,
+    move_reference,
     mul,
     plus,
     plus_pair,
+    rotate_body,
     sub,
     swirl,
     symmetric,
     times,
     times_pair,
-    turned,
 )
 from adaptsim_jax.mechanisms.tree import Tree, ancestors
 
 Array = Any
 
 
-class Still(NamedTuple):
-    """What positions alone decide: poses, the motion that each joint makes at unit speed, and the
-    bodies.
+class Kinematics(NamedTuple):
+    """What positions alone decide: `pose` of the frames, `screw` (the motion that each joint makes
+    at unit speed), and `body` (inertias in the world's axes).
     """
 
     pose: Pose
@@ -82,188 +83,217 @@ class BodyMotion(NamedTuple):
 
 
 def mass_matrix(tree: Tree, inertial: Array, q: Array) -> jax.Array:
-    """`[n, n, ...]` kg m^2 (kg m, kg where slides are concerned) at `q: [n, ...]`, without
-    armature.
+    """Compute the mass matrix `[n, n, ...]`, kg m^2 (kg m, kg where slides are concerned), at
+    `q: [n, ...]`, without armature.
     """
     q = jnp.asarray(q)
-    whole, rows = _wholly(tree, inertial)
-    still = _still(whole, rows, _angles(tree, q))
-    return _on_both(tree, _mass(whole, still, _up(whole, still.body), _like(tree, inertial, q)))
+    full, inertias = _full_tree(tree, inertial)
+    kinematics = _kinematics(full, inertias, _angles(tree, q))
+    return _matrix_on_coordinates(
+        tree,
+        _full_mass_matrix(
+            full, kinematics, _sum_over_carried(full, kinematics.body), _like(tree, inertial, q)
+        ),
+    )
 
 
 def gravity_force(tree: Tree, inertial: Array, q: Array, gravity: Array) -> jax.Array:
-    """`[n, ...]`: what gravity does to each joint, minus the bias force at rest."""
+    """Compute the force of gravity on each joint `[n, ...]`, N m or N: minus the bias force at
+    rest.
+    """
     return -inverse_dynamics(tree, inertial, q, None, None, gravity)
 
 
 def inverse_dynamics(
     tree: Tree, inertial: Array, q: Array, v: Array | None, a: Array | None, gravity: Array
 ) -> jax.Array:
-    """`[n, ...]`: generalized forces that make `q, v, a: [n, ...]` come about, without armature;
-    `v` or `a` None stands for 0.
+    """Compute the generalized forces `[n, ...]`, N m or N, that a motion `q, v, a: [n, ...]`
+    requires, without armature; `v` or `a` None stands for 0.
     """
     q = jnp.asarray(q)
-    whole, rows = _wholly(tree, inertial)
-    return _inverse_dynamics(tree, whole, rows, q, v, a, gravity)
+    full, inertias = _full_tree(tree, inertial)
+    return _inverse_dynamics(tree, full, inertias, q, v, a, gravity)
 
 
 def _inverse_dynamics(
-    tree: Tree, whole: Tree, rows: Array, q: jax.Array, v: Any, a: Any, gravity: Array
+    tree: Tree, full: Tree, inertias: Array, q: jax.Array, v: Any, a: Any, gravity: Array
 ) -> jax.Array:
-    """Of all joints `whole` with inertial parameters `rows`, brought to the coordinates of
-    `tree`.
+    """Compute the forces that all joints `full` with inertial parameters `inertias` require, on the
+    coordinates of `tree`.
     """
-    still = _still(whole, rows, _angles(tree, q))
-    down = lifted(gravity, 1, q.ndim - 1, q.dtype)
-    wrench = _up(whole, _moving(whole, still, _rates(tree, v), _rates(tree, a), down).wrench)
-    like = _like(whole, rows, q, v, a, gravity)
-    return _on_one(
+    kinematics = _kinematics(full, inertias, _angles(tree, q))
+    gravity_lanes = with_batch_axes(gravity, 1, q.ndim - 1, q.dtype)
+    wrench = _sum_over_carried(
+        full, _body_motion(full, kinematics, _rates(tree, v), _rates(tree, a), gravity_lanes).wrench
+    )
+    like = _like(full, inertias, q, v, a, gravity)
+    return _forces_on_coordinates(
         tree,
         jnp.broadcast_to(
-            _filled(dot_pair(still.screw, wrench), whole.n, like), (whole.n, *like.shape)
+            _filled(dot_pair(kinematics.screw, wrench), full.n, like), (full.n, *like.shape)
         ),
     )
 
 
 def compensation(tree: Tree, q: Array) -> jax.Array | None:
-    """`[n, ...]`: the force that holds declared shares of bodies up (MuJoCo's `qfrc_gravcomp`);
-    None where nothing does.
+    """Compute the force `[n, ...]` that holds declared shares of bodies up (MuJoCo's
+    `qfrc_gravcomp`), N m or N; None where nothing is held up.
     """
-    every = tree if tree.whole is None else tree.whole.tree
-    if not any(every.compensated):
+    full = tree if tree.all_joints is None else tree.all_joints.tree
+    if not any(full.compensated):
         return None
-    bare = replace(
-        every,
+    held_up = replace(
+        full,
         shapes=tuple(
-            replace(shape, massless=not on)
-            for shape, on in zip(every.shapes, every.compensated, strict=True)
+            replace(shape, massless=not is_compensated)
+            for shape, is_compensated in zip(full.shapes, full.compensated, strict=True)
         ),
     )
     return _inverse_dynamics(
-        tree, bare, jnp.asarray(every.gravcomp), jnp.asarray(q), None, None, tree.gravity
+        tree, held_up, jnp.asarray(full.gravcomp), jnp.asarray(q), None, None, tree.gravity
     )
 
 
 def acceleration(
     tree: Tree, inertial: Array, q: Array, v: Array, force: Array, armature: Array, gravity: Array
 ) -> jax.Array:
-    """`[n, ...]`: of the joints at `q, v: [n, ...]` under the generalized `force: [n, ...]` (all
-    but gravity and inertia).
+    """Compute the joints' accelerations `[n, ...]`, rad/s^2 or m/s^2, at `q, v: [n, ...]` under the
+    generalized `force: [n, ...]` (all but gravity and inertia).
     """
     q = jnp.asarray(q)
     like = _like(tree, inertial, q, v, force, armature, gravity)
 
-    def wide(x):
-        return jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+    def broadcast(x):
+        return jnp.broadcast_to(with_batch_axes(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
 
-    return _acceleration(tree, inertial, wide(q), wide(v), wide(force), wide(armature), gravity)
+    return _acceleration(
+        tree, inertial, broadcast(q), broadcast(v), broadcast(force), broadcast(armature), gravity
+    )
 
 
 def inverse_mass(tree: Tree, inertial: Array, q: Array, armature: Array) -> jax.Array:
-    """`[n, n, ...]`: of the mass matrix with armature; column j is the acceleration that a unit
+    """Invert the mass matrix with armature, `[n, n, ...]`; column j is the acceleration that a unit
     force at joint j brings.
     """
     q = jnp.asarray(q)
     like = _like(tree, inertial, q, armature)
 
-    def wide(x):
-        return jnp.broadcast_to(lifted(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
+    def broadcast(x):
+        return jnp.broadcast_to(with_batch_axes(x, 1, q.ndim - 1, q.dtype), (tree.n, *like.shape))
 
-    return _inverse_mass(tree, inertial, wide(q), wide(armature))
+    return _inverse_mass(tree, inertial, broadcast(q), broadcast(armature))
 
 
 def regressor(tree: Tree, q: Array, v: Array | None, a: Array | None, gravity: Array) -> jax.Array:
-    """`[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()` (Atkeson, An and
-    Hollerbach, 1986).
+    """Compute the regressor `[n, 10 n, ...]`: inverse dynamics are `regressor @ inertial.ravel()`
+    (Atkeson, An and Hollerbach, 1986).
     """
     q = jnp.asarray(q)
     like = _like(tree, None, q, v, a, gravity)
-    whole, _ = _wholly(tree, None)
-    still = _still(whole, None, _angles(tree, q))
-    moving = _moving(
-        whole, still, _rates(tree, v), _rates(tree, a), lifted(gravity, 1, q.ndim - 1, q.dtype)
+    full, _ = _full_tree(tree, None)
+    kinematics = _kinematics(full, None, _angles(tree, q))
+    motion = _body_motion(
+        full,
+        kinematics,
+        _rates(tree, v),
+        _rates(tree, a),
+        with_batch_axes(gravity, 1, q.ndim - 1, q.dtype),
     )
-    rotation, origin = still.pose
-    omega, u = (apply_transposed(rotation, x) for x in _about(moving.velocity, origin))
-    alpha, linear = (apply_transposed(rotation, x) for x in _about(moving.acceleration, origin))
+    rotation, origin = kinematics.pose
+    omega, u = (apply_transposed(rotation, x) for x in _about(motion.velocity, origin))
+    alpha, linear = (apply_transposed(rotation, x) for x in _about(motion.acceleration, origin))
     linear = plus(
         linear, cross(omega, u)
     )  # of the point of the body, where the spatial one is of the place
 
     def pair(x):
-        return tuple(y if known(y) else y[None] for y in x)  # of body j, for each joint i
+        return tuple(y if is_static(y) else y[None] for y in x)  # of body j, for each joint i
 
     axes = tuple(pair(row) for row in rotation)
-    angular, along = (tuple(y if known(y) else y[:, None] for y in x) for x in still.screw)
+    angular, along = (tuple(y if is_static(y) else y[:, None] for y in x) for x in kinematics.screw)
     turn, push = (apply_transposed(axes, x) for x in _about((angular, along), pair(origin)))
-    carried = _mask(_ancestry(whole) & ~np.array(whole.massless)[None], like)
-    own = slice(None) if tree.whole is None else np.array(tree.whole.own)
+    carried = _mask(_ancestry(full) & ~np.array(full.massless)[None], like)
+    own_joints = slice(None) if tree.all_joints is None else np.array(tree.all_joints.own)
     columns = []
     for force, moment in _body_regressor(pair(omega), pair(alpha), pair(linear)):
-        table = _table(add(dot(push, force), dot(turn, moment)), whole.n, like) * carried
-        columns.append(_on_one(tree, table)[:, own])
+        table = _table(add(dot(push, force), dot(turn, moment)), full.n, like) * carried
+        columns.append(_forces_on_coordinates(tree, table)[:, own_joints])
     out = jnp.stack(columns, 2)  # [i, j, 10, ...]
     return out.reshape(tree.n, 10 * tree.n, *like.shape)
 
 
 def solve(mass: Array, rhs: Array) -> jax.Array:
-    """`[n, ...]`: `mass [n, n, ...]`, symmetric and positive definite, into `rhs [n, ...]`."""
+    """Solve `mass x = rhs` for x `[n, ...]`: `mass [n, n, ...]`, symmetric and positive definite,
+    and `rhs [n, ...]`.
+    """
     mass, rhs = jnp.asarray(mass), jnp.asarray(rhs)
-    return _solved(_factored(mass), rhs[:, None])[:, 0]
+    return _substitute(_factorise(mass), rhs[:, None])[:, 0]
 
 
-def _wholly(tree: Tree, inertial: Any, change: bool = False) -> tuple[Tree, Any]:
-    """The tree of all joints, and the inertial parameters of all bodies with those of the
-    coordinates' own in their place.
+def _full_tree(tree: Tree, inertial: Any, is_tangent: bool = False) -> tuple[Tree, Any]:
+    """Return the tree of all joints, and the inertial parameters [m, 10, ...] of all bodies with
+    those of the coordinates' own in their place.
 
     Args:
-        change: These are tangents, so that followers, which stay as they are, have none.
+        is_tangent: Whether `inertial` is a tangent, of which followers have none.
     """
-    if tree.whole is None:
+    if tree.all_joints is None:
         return tree, inertial
-    every, own = tree.whole.tree, np.array(tree.whole.own)
+    full, own_joints = tree.all_joints.tree, np.array(tree.all_joints.own)
     if inertial is None:
-        return every, None
-    mine = jnp.asarray(inertial)
-    rows = lifted(every.inertial, 2, mine.ndim - 2, mine.dtype)
-    rows = jnp.broadcast_to(0.0 * rows if change else rows, (every.n, *mine.shape[1:]))
-    return every, rows.at[own].set(mine)
+        return full, None
+    own_inertias = jnp.asarray(inertial)
+    inertias = with_batch_axes(full.inertial, 2, own_inertias.ndim - 2, own_inertias.dtype)
+    inertias = jnp.broadcast_to(
+        0.0 * inertias if is_tangent else inertias, (full.n, *own_inertias.shape[1:])
+    )
+    return full, inertias.at[own_joints].set(own_inertias)
 
 
 def _angles(tree: Tree, q: jax.Array) -> jax.Array:
-    """`[m, ...]` of all joints at the coordinates `q: [n, ...]`."""
-    if tree.whole is None:
+    """Compute positions `[m, ...]` of all joints at the coordinates `q: [n, ...]`."""
+    if tree.all_joints is None:
         return q
     factor, offset = (
-        lifted(x, 1, q.ndim - 1, q.dtype) for x in (tree.whole.factor, tree.whole.offset)
+        with_batch_axes(x, 1, q.ndim - 1, q.dtype)
+        for x in (tree.all_joints.factor, tree.all_joints.offset)
     )
-    return offset + factor * q[np.array(tree.whole.leader)]
+    return offset + factor * q[np.array(tree.all_joints.leader)]
 
 
 def _rates(tree: Tree, v: Any) -> Any:
-    """Speeds or accelerations of all joints of those of the coordinates (None: 0)."""
-    if tree.whole is None or v is None:
+    """Compute speeds or accelerations `[m, ...]` of all joints from the coordinates' `[n, ...]`
+    (None: 0).
+    """
+    if tree.all_joints is None or v is None:
         return v
     v = jnp.asarray(v)
-    return lifted(tree.whole.factor, 1, v.ndim - 1, v.dtype) * v[np.array(tree.whole.leader)]
-
-
-def _on_one(tree: Tree, x: jax.Array) -> jax.Array:
-    """Forces `[m, ...]` on all joints, as forces on the coordinates `[n, ...]`."""
-    if tree.whole is None:
-        return x
-    scaled = lifted(tree.whole.factor, 1, x.ndim - 1, x.dtype) * x
-    leaders = tree.whole.leader
-    return jnp.stack(
-        [sum(scaled[k] for k, own in enumerate(leaders) if own == j) for j in range(tree.n)]
+    return (
+        with_batch_axes(tree.all_joints.factor, 1, v.ndim - 1, v.dtype)
+        * v[np.array(tree.all_joints.leader)]
     )
 
 
-def _on_both(tree: Tree, x: jax.Array) -> jax.Array:
-    """`[m, m, ...]` of forces by motions of all joints, as `[n, n, ...]` of the coordinates'."""
-    if tree.whole is None:
+def _forces_on_coordinates(tree: Tree, x: jax.Array) -> jax.Array:
+    """Project forces `[m, ...]` on all joints to the coordinates, `[n, ...]`."""
+    if tree.all_joints is None:
         return x
-    return jnp.swapaxes(_on_one(tree, jnp.swapaxes(_on_one(tree, x), 0, 1)), 0, 1)
+    scaled = with_batch_axes(tree.all_joints.factor, 1, x.ndim - 1, x.dtype) * x
+    leaders = tree.all_joints.leader
+    return jnp.stack(
+        [sum(scaled[k] for k, leader in enumerate(leaders) if leader == j) for j in range(tree.n)]
+    )
+
+
+def _matrix_on_coordinates(tree: Tree, x: jax.Array) -> jax.Array:
+    """Project a matrix `[m, m, ...]` of forces by motions of all joints to the coordinates,
+    `[n, n, ...]`.
+    """
+    if tree.all_joints is None:
+        return x
+    return jnp.swapaxes(
+        _forces_on_coordinates(tree, jnp.swapaxes(_forces_on_coordinates(tree, x), 0, 1)), 0, 1
+    )
 
 
 def _like(tree: Tree, inertial: Any, q: jax.Array, *others: Any) -> jax.Array:
@@ -298,14 +328,14 @@ def _ancestry(tree: Tree) -> np.ndarray:
 
 
 def _about(motion: Pair, point: Vector) -> Pair:
-    """The same motion, about another point."""
+    """Express a motion about another point."""
     return motion[0], plus(motion[1], cross(motion[0], point))
 
 
-def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
-    """inertial None: bodies that weigh nothing."""
-    pose = together(chain(tree, q), _like(tree, None, q))
-    pose = _computed(pose, q)
+def _kinematics(tree: Tree, inertial: Any, q: jax.Array) -> Kinematics:
+    """Compute what `q` decides; bodies weigh nothing where `inertial` is None."""
+    pose = stack_poses(chain(tree, q), _like(tree, None, q))
+    pose = _evaluate_once(pose, q)
     hinge = np.array([kind == "hinge" for kind in tree.kinds])
     axis = pose.axis
     if hinge.all():
@@ -321,72 +351,82 @@ def _still(tree: Tree, inertial: Any, q: jax.Array) -> Still:
         )
         screw = angular, linear
     if inertial is None:
-        return Still(pose, screw, InertialBody(0, ZERO, (ZERO, ZERO, ZERO)))
-    rows = lifted(inertial, 2, q.ndim - 1, q.dtype)
+        return Kinematics(pose, screw, InertialBody(0, ZERO, (ZERO, ZERO, ZERO)))
+    inertias = with_batch_axes(inertial, 2, q.ndim - 1, q.dtype)
     if any(tree.massless):
-        rows = rows * _mask(~np.array(tree.massless), rows[0])
-    mass, x, y, z, *six = (rows[:, k] for k in range(10))
-    return Still(
-        pose, screw, moved(turned(pose.rotation, mass, (x, y, z), symmetric(*six)), pose.origin)
+        inertias = inertias * _mask(~np.array(tree.massless), inertias[0])
+    mass, x, y, z, *six = (inertias[:, k] for k in range(10))
+    return Kinematics(
+        pose,
+        screw,
+        move_reference(rotate_body(pose.rotation, mass, (x, y, z), symmetric(*six)), pose.origin),
     )
 
 
-def _moving(
-    tree: Tree, still: Still, v: Array | None, a: Array | None, gravity: jax.Array
+def _body_motion(
+    tree: Tree, kinematics: Kinematics, v: Array | None, a: Array | None, gravity: jax.Array
 ) -> BodyMotion:
-    """gravity [3, ...]."""
-    nothing: Pair = (ZERO, ZERO)
+    """Compute the motion of each body and the wrench it needs, under `gravity [3, ...]`."""
+    no_motion: Pair = (ZERO, ZERO)
     batch = gravity.ndim - 1
     if v is None:
-        along = nothing
+        joint_velocity = no_motion
     else:
-        along = times_pair(lifted(v, 1, batch, gravity.dtype), still.screw)
-    velocity = _down(tree, along)
-    rate = cross_motion(velocity, along)
+        joint_velocity = times_pair(with_batch_axes(v, 1, batch, gravity.dtype), kinematics.screw)
+    velocity = _sum_over_carriers(tree, joint_velocity)
+    joint_acceleration = cross_motion(velocity, joint_velocity)
     if a is not None:
-        rate = plus_pair(rate, times_pair(lifted(a, 1, batch, gravity.dtype), still.screw))
-    acceleration = _down(tree, rate)
+        joint_acceleration = plus_pair(
+            joint_acceleration,
+            times_pair(with_batch_axes(a, 1, batch, gravity.dtype), kinematics.screw),
+        )
+    acceleration = _sum_over_carriers(tree, joint_acceleration)
     acceleration = (
         acceleration[0],
         tuple(sub(x, g[None]) for x, g in zip(acceleration[1], gravity, strict=True)),
     )
     wrench = plus_pair(
-        momentum(still.body, acceleration), cross_wrench(velocity, momentum(still.body, velocity))
+        momentum(kinematics.body, acceleration),
+        cross_wrench(velocity, momentum(kinematics.body, velocity)),
     )
 
-    def without(pair, own):
-        return (minus(pair[0], own[0]), minus(pair[1], own[1]))
+    def minus_joint(pair, joint):
+        return (minus(pair[0], joint[0]), minus(pair[1], joint[1]))
 
     return BodyMotion(
-        velocity, acceleration, without(velocity, along), without(acceleration, rate), wrench
+        velocity,
+        acceleration,
+        minus_joint(velocity, joint_velocity),
+        minus_joint(acceleration, joint_acceleration),
+        wrench,
     )
 
 
-def _computed(values: Any, asked: jax.Array) -> Any:
-    """Arrays among the entries are computed here, once, and not in each place that uses them (see
-    `once`).
+def _evaluate_once(values: Any, primal: jax.Array) -> Any:
+    """Compute the arrays among the entries here, once, and not in each place that uses them (see
+    `once`); `primal` is what they are computed from.
     """
-    leaves, kind = jax.tree.flatten(values)
-    arrays = [x for x in leaves if not known(x)]
-    if not arrays or asked.size == 0:
+    leaves, structure = jax.tree.flatten(values)
+    arrays = [x for x in leaves if not is_static(x)]
+    if not arrays or primal.size == 0:
         return values
-    done = iter(once(arrays, asked))
-    return jax.tree.unflatten(kind, [x if known(x) else next(done) for x in leaves])
+    evaluated = iter(once(arrays, primal))
+    return jax.tree.unflatten(structure, [x if is_static(x) else next(evaluated) for x in leaves])
 
 
-def _down(tree: Tree, values: Any) -> Any:
-    """For each joint the sum over the joints that carry it and itself."""
+def _sum_over_carriers(tree: Tree, values: Any) -> Any:
+    """Sum values for each joint over the joints that carry it and itself."""
 
     def run(rows: list[jax.Array]) -> list[jax.Array]:
         for i, p in enumerate(tree.parent):
             rows[i] = rows[i] if p < 0 else rows[i] + rows[p]
         return rows
 
-    return _accumulated(tree, values, run)
+    return _accumulate(tree, values, run)
 
 
-def _up(tree: Tree, values: Any) -> Any:
-    """For each joint the sum over the bodies that it carries."""
+def _sum_over_carried(tree: Tree, values: Any) -> Any:
+    """Sum values for each joint over the bodies that it carries."""
 
     def run(rows: list[jax.Array]) -> list[jax.Array]:
         for i in reversed(range(tree.n)):
@@ -394,33 +434,37 @@ def _up(tree: Tree, values: Any) -> Any:
                 rows[p] = rows[p] + rows[i]
         return rows
 
-    return _accumulated(tree, values, run)
+    return _accumulate(tree, values, run)
 
 
-def _accumulated(tree: Tree, values: Any, run: Any) -> Any:
-    leaves, kind = jax.tree.flatten(values)
-    arrays = [x for x in leaves if not known(x)]  # a known entry of what is summed is a zero
+def _accumulate(tree: Tree, values: Any, run: Any) -> Any:
+    leaves, structure = jax.tree.flatten(values)
+    arrays = [x for x in leaves if not is_static(x)]  # a known entry of what is summed is a zero
     if not arrays:
         return values
     shape = (tree.n, *jnp.broadcast_shapes(*(x.shape for x in arrays))[1:])
-    whole = jnp.stack([jnp.broadcast_to(x, shape) for x in arrays])
-    summed = jnp.stack(run([whole[:, i] for i in range(tree.n)]), 1)
-    done = iter(list(summed))
-    return jax.tree.unflatten(kind, [x if known(x) else next(done) for x in leaves])
+    lanes = jnp.stack([jnp.broadcast_to(x, shape) for x in arrays])
+    accumulated = jnp.stack(run([lanes[:, i] for i in range(tree.n)]), 1)
+    sums = iter(list(accumulated))
+    return jax.tree.unflatten(structure, [x if is_static(x) else next(sums) for x in leaves])
 
 
 def _outer(a: Pair, b: Pair) -> Entry:
     """`[n, n, ...]`: of wrenches or motions `a` of joints i with `b` of joints j."""
     out: Entry = 0
     for x, y in zip((*a[0], *a[1]), (*b[0], *b[1]), strict=True):
-        out = add(out, mul(x if known(x) else x[:, None], y if known(y) else y[None]))
+        out = add(out, mul(x if is_static(x) else x[:, None], y if is_static(y) else y[None]))
     return out
 
 
-def _mass(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax.Array:
-    """whole: for each joint all that it carries, as one body."""
+def _full_mass_matrix(
+    tree: Tree, kinematics: Kinematics, composite: InertialBody, like: jax.Array
+) -> jax.Array:
+    """Compute the mass matrix of all joints; `composite`: for each joint all that it carries, as
+    one body.
+    """
     lower = _table(
-        _outer(momentum(whole, still.screw), still.screw), tree.n, like
+        _outer(momentum(composite, kinematics.screw), kinematics.screw), tree.n, like
     )  # right where joint j carries joint i
     carries = _ancestry(tree)
     strictly = carries & ~np.eye(tree.n, dtype=bool)
@@ -429,26 +473,26 @@ def _mass(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax
 
 
 def _derivatives(
-    tree: Tree, still: Still, q: jax.Array, v: Any, a: Any, gravity: Any, like: jax.Array
+    tree: Tree, kinematics: Kinematics, q: jax.Array, v: Any, a: Any, gravity: Any, like: jax.Array
 ) -> tuple[jax.Array, jax.Array]:
-    moving = _moving(tree, still, v, a, lifted(gravity, 1, q.ndim - 1, q.dtype))
-    screw = still.screw
-    swing = cross_motion(moving.velocity_before, screw)
+    motion = _body_motion(tree, kinematics, v, a, with_batch_axes(gravity, 1, q.ndim - 1, q.dtype))
+    screw = kinematics.screw
+    swing = cross_motion(motion.velocity_before, screw)
     surge = plus_pair(
-        cross_motion(moving.acceleration_before, screw), cross_motion(moving.velocity_before, swing)
+        cross_motion(motion.acceleration_before, screw), cross_motion(motion.velocity_before, swing)
     )
-    whole, wrench, (spin, push) = _up(
-        tree, (still.body, moving.wrench, swirl(still.body, moving.velocity))
+    composite, wrench, (spin, push) = _sum_over_carried(
+        tree, (kinematics.body, motion.wrench, swirl(kinematics.body, motion.velocity))
     )
 
     def swirled(m: Pair) -> Pair:
         return apply(spin, m[0]), times(2.0, cross(m[0], push))
 
-    above = plus_pair(
-        plus_pair(momentum(whole, surge), swirled(swing)), cross_wrench(screw, wrench)
+    wrench_by_q = plus_pair(
+        plus_pair(momentum(composite, surge), swirled(swing)), cross_wrench(screw, wrench)
     )
-    above_v = plus_pair(times_pair(2.0, momentum(whole, swing)), swirled(screw))
-    own = momentum(whole, screw)
+    wrench_by_v = plus_pair(times_pair(2.0, momentum(composite, swing)), swirled(screw))
+    joint_momentum = momentum(composite, screw)
     back = plus(apply_transposed(spin, screw[0]), times(2.0, cross(push, screw[1]))), ZERO
     carries = _ancestry(tree)
     upper, lower = _mask(carries, like), _mask((carries & ~np.eye(tree.n, dtype=bool)).T, like)
@@ -456,10 +500,10 @@ def _derivatives(
     def table(x):
         return _table(x, tree.n, like)
 
-    by_q = upper * table(_outer(screw, above))
-    by_q = by_q + lower * table(add(_outer(own, surge), _outer(back, swing)))
-    by_v = upper * table(_outer(screw, above_v))
-    by_v = by_v + lower * table(add(mul(2.0, _outer(own, swing)), _outer(back, screw)))
+    by_q = upper * table(_outer(screw, wrench_by_q))
+    by_q = by_q + lower * table(add(_outer(joint_momentum, surge), _outer(back, swing)))
+    by_v = upper * table(_outer(screw, wrench_by_v))
+    by_v = by_v + lower * table(add(mul(2.0, _outer(joint_momentum, swing)), _outer(back, screw)))
     return by_q, by_v
 
 
@@ -485,8 +529,8 @@ def _body_regressor(w: Vector, dw: Vector, a: Vector) -> list[tuple[Vector, Vect
 Factor = tuple[list[jax.Array], list[jax.Array]]
 
 
-def _factored(mass: jax.Array) -> Factor:
-    """Of M = L' D L with L unit lower triangular: rows of L `[k, ...]`, and 1 / D."""
+def _factorise(mass: jax.Array) -> Factor:
+    """Factorise M = L' D L with L unit lower triangular: rows of L `[k, ...]`, and 1 / D."""
     rows, inverse = [], []
     for k in reversed(range(mass.shape[0])):
         inverse.append(1.0 / mass[k, k])
@@ -495,8 +539,8 @@ def _factored(mass: jax.Array) -> Factor:
     return rows[::-1], inverse[::-1]
 
 
-def _solved(factor: Factor, rhs: jax.Array) -> jax.Array:
-    """`[n, m, ...]` of right-hand sides `[n, m, ...]`."""
+def _substitute(factor: Factor, rhs: jax.Array) -> jax.Array:
+    """Solve for right-hand sides `[n, m, ...]` by the factors."""
     rows, inverse = factor
     n = len(rows)
     scaled: list[Any] = [None] * n
@@ -505,17 +549,17 @@ def _solved(factor: Factor, rhs: jax.Array) -> jax.Array:
         rhs = rhs[:k] - rows[k][:, None] * rhs[k][None]
     out: list[jax.Array] = []
     for k in range(n):
-        solved = scaled[k]
+        row = scaled[k]
         if k:
-            solved = solved - sum(rows[k][i][None] * out[i] for i in range(k))
-        out.append(solved)
+            row = row - sum(rows[k][i][None] * out[i] for i in range(k))
+        out.append(row)
     return jnp.stack(out)
 
 
-def _inverted(mass: jax.Array) -> jax.Array:
+def _invert(mass: jax.Array) -> jax.Array:
     n = mass.shape[0]
     eye = jnp.eye(n, dtype=mass.dtype).reshape(n, n, *(1,) * (mass.ndim - 2))
-    return _solved(_factored(mass), jnp.broadcast_to(eye, mass.shape))
+    return _substitute(_factorise(mass), jnp.broadcast_to(eye, mass.shape))
 
 
 def _with_armature(mass: jax.Array, armature: jax.Array) -> jax.Array:
@@ -531,22 +575,32 @@ def _times_rows(m: Array, x: Array) -> Array:
 
 @jax.custom_jvp
 def _acceleration(tree, inertial, q, v, force, armature, gravity):
-    return _accelerated(tree, inertial, q, v, force, armature, gravity)
+    return _solve_acceleration(tree, inertial, q, v, force, armature, gravity)
 
 
-def _accelerated(tree, inertial, q, v, force, armature, gravity):
-    whole, rows = _wholly(tree, inertial)
-    _, mass, bias = _mass_and_bias(tree, whole, rows, q, v, armature, gravity)
+def _solve_acceleration(tree, inertial, q, v, force, armature, gravity):
+    full, inertias = _full_tree(tree, inertial)
+    _, mass, bias = _mass_and_bias(tree, full, inertias, q, v, armature, gravity)
     return solve(mass, force - bias)
 
 
-def _mass_and_bias(tree, every, rows, q, v, armature, gravity):
-    """(Still of all joints, mass matrix with armature and bias force of the coordinates)."""
-    still = _still(every, rows, _angles(tree, q))
-    moving = _moving(every, still, _rates(tree, v), None, lifted(gravity, 1, q.ndim - 1, q.dtype))
-    whole, wrench = _up(every, (still.body, moving.wrench))
-    mass = _with_armature(_on_both(tree, _mass(every, still, whole, q[0])), armature)
-    return still, mass, _on_one(tree, _filled(dot_pair(still.screw, wrench), every.n, q[0]))
+def _mass_and_bias(tree, full, inertias, q, v, armature, gravity):
+    """Return kinematics of all joints, mass matrix with armature and bias force of the
+    coordinates.
+    """
+    kinematics = _kinematics(full, inertias, _angles(tree, q))
+    motion = _body_motion(
+        full, kinematics, _rates(tree, v), None, with_batch_axes(gravity, 1, q.ndim - 1, q.dtype)
+    )
+    composite, wrench = _sum_over_carried(full, (kinematics.body, motion.wrench))
+    mass = _with_armature(
+        _matrix_on_coordinates(tree, _full_mass_matrix(full, kinematics, composite, q[0])), armature
+    )
+    return (
+        kinematics,
+        mass,
+        _forces_on_coordinates(tree, _filled(dot_pair(kinematics.screw, wrench), full.n, q[0])),
+    )
 
 
 def _acceleration_jvp(primals, tangents):
@@ -556,49 +610,49 @@ def _acceleration_jvp(primals, tangents):
     """
     tree, inertial, q, v, force, armature, gravity = primals
     d_tree, d_inertial, d_q, d_v, d_force, d_armature, d_gravity = tangents
-    every, rows = _wholly(tree, inertial)
-    still, mass, bias = _mass_and_bias(tree, every, rows, q, v, armature, gravity)
-    inverse = _inverted(mass)
+    full, inertias = _full_tree(tree, inertial)
+    kinematics, mass, bias = _mass_and_bias(tree, full, inertias, q, v, armature, gravity)
+    inverse = _invert(mass)
     a = _times_rows(inverse, force - bias)
-    by_q, by_v = _derivatives(every, still, q, _rates(tree, v), _rates(tree, a), gravity, q[0])
-    by_q, by_v = _on_both(tree, by_q), _on_both(tree, by_v)
-    a, inverse, by_q, by_v = _computed((a, inverse, by_q, by_v), q)
-    missing = [
+    by_q, by_v = _derivatives(full, kinematics, q, _rates(tree, v), _rates(tree, a), gravity, q[0])
+    by_q, by_v = _matrix_on_coordinates(tree, by_q), _matrix_on_coordinates(tree, by_v)
+    a, inverse, by_q, by_v = _evaluate_once((a, inverse, by_q, by_v), q)
+    force_changes = [
         d_force,
-        None if _zero(d_q) else -_times_rows(by_q, d_q),
-        None if _zero(d_v) else -_times_rows(by_v, d_v),
-        None if _zero(d_armature) else -d_armature * a,
+        None if _is_zero(d_q) else -_times_rows(by_q, d_q),
+        None if _is_zero(d_v) else -_times_rows(by_v, d_v),
+        None if _is_zero(d_armature) else -d_armature * a,
     ]
-    if not _zero(d_inertial):
-        d_every, d_rows = _wholly(tree, d_inertial, True)
-        missing.append(-_inverse_dynamics(tree, d_every, d_rows, q, v, a, gravity))
-    if not _zero(d_gravity):
-        missing.append(gravity_force(tree, inertial, q, d_gravity))
-    missing = [x for x in missing if x is not None and not _zero(x)]
-    if missing:
-        change = _times_rows(inverse, sum(missing))
+    if not _is_zero(d_inertial):
+        full, d_inertias = _full_tree(tree, d_inertial, True)
+        force_changes.append(-_inverse_dynamics(tree, full, d_inertias, q, v, a, gravity))
+    if not _is_zero(d_gravity):
+        force_changes.append(gravity_force(tree, inertial, q, d_gravity))
+    force_changes = [x for x in force_changes if x is not None and not _is_zero(x)]
+    if force_changes:
+        change = _times_rows(inverse, sum(force_changes))
     else:
         change = jnp.zeros_like(a)
-    if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
+    if not all(map(_is_zero, jax.tree.leaves(d_tree, is_leaf=_is_zero))):
 
-        def along(tree):
-            return _accelerated(tree, inertial, q, v, force, armature, gravity)
+        def acceleration_of(tree):
+            return _solve_acceleration(tree, inertial, q, v, force, armature, gravity)
 
-        change = change + jax.jvp(along, (tree,), (_made(d_tree),))[1]
+        change = change + jax.jvp(acceleration_of, (tree,), (_instantiate_zeros(d_tree),))[1]
     return a, change
 
 
-def _zero(tangent: Any) -> bool:
+def _is_zero(tangent: Any) -> bool:
     return isinstance(tangent, jax.custom_derivatives.SymbolicZero)
 
 
-def _made(tangents: Any) -> Any:
+def _instantiate_zeros(tangents: Any) -> Any:
     def fill(x):
-        if _zero(x):
+        if _is_zero(x):
             return jnp.zeros(x.shape, x.dtype)
         return x
 
-    return jax.tree.map(fill, tangents, is_leaf=_zero)
+    return jax.tree.map(fill, tangents, is_leaf=_is_zero)
 
 
 _acceleration.defjvp(_acceleration_jvp, symbolic_zeros=True)
@@ -606,34 +660,50 @@ _acceleration.defjvp(_acceleration_jvp, symbolic_zeros=True)
 
 @jax.custom_jvp
 def _inverse_mass(tree, inertial, q, armature):
-    return _inverted(_with_armature(mass_matrix(tree, inertial, q), armature))
+    return _invert(_with_armature(mass_matrix(tree, inertial, q), armature))
 
 
 def _inverse_mass_jvp(primals, tangents):
     tree, inertial, q, armature = primals
     d_tree, d_inertial, d_q, d_armature = tangents
-    every, rows = _wholly(tree, inertial)
-    still = _still(every, rows, _angles(tree, q))
-    whole = _up(every, still.body)
-    inverse = _inverted(_with_armature(_on_both(tree, _mass(every, still, whole, q[0])), armature))
+    full, inertias = _full_tree(tree, inertial)
+    kinematics = _kinematics(full, inertias, _angles(tree, q))
+    composite = _sum_over_carried(full, kinematics.body)
+    inverse = _invert(
+        _with_armature(
+            _matrix_on_coordinates(tree, _full_mass_matrix(full, kinematics, composite, q[0])),
+            armature,
+        )
+    )
     by_q = None
-    if not _zero(d_q):  # [i, j, k]: by the angle k
-        cube = jnp.moveaxis(_mass_by_q(every, still, whole, q[0]), 2, 0)
-        by_q = jnp.moveaxis(jax.vmap(lambda z: _on_both(tree, z))(_on_one(tree, cube)), 0, 2)
-    inverse, by_q = _computed((inverse, by_q), q)
+    if not _is_zero(d_q):  # [i, j, k]: by the angle k
+        cube = jnp.moveaxis(_mass_by_q(full, kinematics, composite, q[0]), 2, 0)
+        by_q = jnp.moveaxis(
+            jax.vmap(lambda z: _matrix_on_coordinates(tree, z))(_forces_on_coordinates(tree, cube)),
+            0,
+            2,
+        )
+    inverse, by_q = _evaluate_once((inverse, by_q), q)
     change = jnp.zeros_like(inverse)
     if by_q is not None:
         change = change + sum(by_q[:, :, k] * d_q[k][None, None] for k in range(tree.n))
-    if not _zero(d_armature):
+    if not _is_zero(d_armature):
         change = _with_armature(change, d_armature)
-    if not _zero(d_inertial):
-        every, d_rows = _wholly(tree, d_inertial, True)
-        moved_by = _still(every, d_rows, _angles(tree, q))
-        change = change + _on_both(tree, _mass(every, moved_by, _up(every, moved_by.body), q[0]))
-    if not all(map(_zero, jax.tree.leaves(d_tree, is_leaf=_zero))):
+    if not _is_zero(d_inertial):
+        full, d_inertias = _full_tree(tree, d_inertial, True)
+        tangent_bodies = _kinematics(full, d_inertias, _angles(tree, q))
+        change = change + _matrix_on_coordinates(
+            tree,
+            _full_mass_matrix(
+                full, tangent_bodies, _sum_over_carried(full, tangent_bodies.body), q[0]
+            ),
+        )
+    if not all(map(_is_zero, jax.tree.leaves(d_tree, is_leaf=_is_zero))):
         change = (
             change
-            + jax.jvp(lambda tree: mass_matrix(tree, inertial, q), (tree,), (_made(d_tree),))[1]
+            + jax.jvp(
+                lambda tree: mass_matrix(tree, inertial, q), (tree,), (_instantiate_zeros(d_tree),)
+            )[1]
         )
 
     def product(a: Array, b: Array) -> Array:
@@ -645,42 +715,44 @@ def _inverse_mass_jvp(primals, tangents):
 _inverse_mass.defjvp(_inverse_mass_jvp, symbolic_zeros=True)
 
 
-def _mass_by_q(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -> jax.Array:
-    """`[n, n, n, ...]`: derivative of the mass matrix's entry i, j by the angle k. Only what lies
+def _mass_by_q(
+    tree: Tree, kinematics: Kinematics, composite: InertialBody, like: jax.Array
+) -> jax.Array:
+    """Differentiate the mass matrix `[n, n, n, ...]`: entry i, j by the angle k. Only what lies
     between two joints, or is carried by both, changes it: with j carrying i, either k is between
     (then joint j's screw turns against the rest), or i carries k.
     """
     n, carries, eye = tree.n, _ancestry(tree), np.eye(tree.n, dtype=bool)
 
-    def at(pair: Pair, own: str) -> Pair:
-        """Entries with the axes `own`, in that order, on the axes i, j, k."""
-        missing = [axis for axis in "ijk" if axis not in own]
-        order = [(own + "".join(missing)).index(axis) for axis in "ijk"]
+    def at(pair: Pair, axes: str) -> Pair:
+        """Entries with the axes `axes`, in that order, on the axes i, j, k."""
+        missing = [axis for axis in "ijk" if axis not in axes]
+        order = [(axes + "".join(missing)).index(axis) for axis in "ijk"]
 
         def spread(x):
-            front, behind = x.shape[: len(own)], x.shape[len(own) :]
+            front, behind = x.shape[: len(axes)], x.shape[len(axes) :]
             return x.reshape(*front, *(1,) * len(missing), *behind)
 
         def place(x):
-            if known(x):
+            if is_static(x):
                 return x
             return jnp.transpose(spread(x), (*order, *range(3, spread(x).ndim)))
 
         return jax.tree.map(place, pair)
 
     def first(x):
-        return jax.tree.map(lambda y: y if known(y) else y[:, None], x)
+        return jax.tree.map(lambda y: y if is_static(y) else y[:, None], x)
 
     def second(x):
-        return jax.tree.map(lambda y: y if known(y) else y[None], x)
+        return jax.tree.map(lambda y: y if is_static(y) else y[None], x)
 
     turns = cross_motion(
-        first(still.screw), second(still.screw)
+        first(kinematics.screw), second(kinematics.screw)
     )  # [j, k]: screw j turned by joint k, less its sign
     pull = momentum(
-        first(whole), second(still.screw)
+        first(composite), second(kinematics.screw)
     )  # [k, i]: what joint k carries, moved by joint i
-    between = dot_pair(at(momentum(whole, still.screw), "i"), at(turns, "jk"))
+    between = dot_pair(at(momentum(composite, kinematics.screw), "i"), at(turns, "jk"))
     carried = add(
         dot_pair(at(turns, "jk"), at(pull, "ki")), dot_pair(at(pull, "kj"), at(turns, "ik"))
     )
@@ -691,8 +763,8 @@ def _mass_by_q(tree: Tree, still: Still, whole: InertialBody, like: jax.Array) -
     further = below[:, :, None] & strictly.T[:, None, :]  # i above k
 
     def cube(x, mask):
-        whole = jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape))
-        return whole * _mask(mask, like)
+        cells = jnp.broadcast_to(jnp.asarray(x, like.dtype), (n, n, n, *like.shape))
+        return cells * _mask(mask, like)
 
     lower = cube(between, in_between) + cube(carried, further)
     return lower + jnp.swapaxes(lower, 0, 1) * _mask(~eye, like)[:, :, None]

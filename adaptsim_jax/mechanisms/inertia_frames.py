@@ -9,8 +9,8 @@ Frame = tuple[
 ]  # place [3] and rotation [3, 3] in the frame that it is given in
 
 
-def moved(outer: Frame, inner: Frame) -> Frame:
-    """`inner`, given in `outer`'s frame, in the frame that `outer` is given in."""
+def compose(outer: Frame, inner: Frame) -> Frame:
+    """Express `inner`, given in `outer`'s frame, in the frame that `outer` is given in."""
     return outer[0] + outer[1] @ inner[0], outer[1] @ inner[1]
 
 
@@ -22,8 +22,8 @@ def frame_along(axis: np.ndarray) -> np.ndarray:
     """A rotation [3, 3] whose third column is `axis` [3], a unit vector. Its entries are exactly 0
     and +-1 where the axis is one of the frame's, so that the dynamics can leave products out.
     """
-    whole = np.round(axis)
-    axis = whole if np.abs(axis - whole).max() < 1e-12 else axis
+    rounded = np.round(axis)
+    axis = rounded if np.abs(axis - rounded).max() < 1e-12 else axis
     smallest = int(np.argmin(np.abs(axis)))
     first = np.eye(3)[smallest] - axis[smallest] * axis
     first = first / np.linalg.norm(first)

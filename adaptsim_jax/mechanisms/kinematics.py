@@ -22,7 +22,7 @@ from adaptsim_jax.mechanisms.lanes import (
     mul,
     plus,
     product,
-    stacked,
+    stack,
     sub,
     times,
 )
@@ -32,8 +32,8 @@ Array = Any
 
 
 class Pose(NamedTuple):
-    """Of joints' frames: rotation, and the place of the origin (from the place of the first joint
-    of the branch).
+    """Rotation of a joint's frame, and its origin (from that of the first joint of the
+    branch, m).
     """
 
     rotation: Rows
@@ -44,13 +44,13 @@ class Pose(NamedTuple):
         return tuple(row[2] for row in self.rotation)
 
 
-def lifted(x: Any, own: int, batch: int, dtype: Any) -> jax.Array:
-    """An array of `own` axes, with a batch behind or none, with axes of one put between so that it
-    has `batch` behind.
+def with_batch_axes(x: Any, n_own: int, n_batch: int, dtype: Any) -> jax.Array:
+    """An array of `n_own` axes, with a batch behind or none, with axes of one put between so that
+    it has `n_batch` behind.
     """
     x = jnp.asarray(x, dtype)
-    front, behind = x.shape[:own], x.shape[own:]
-    return x.reshape(*front, *(1,) * (batch - (x.ndim - own)), *behind)
+    front, batch = x.shape[:n_own], x.shape[n_own:]
+    return x.reshape(*front, *(1,) * (n_batch - (x.ndim - n_own)), *batch)
 
 
 def chain(tree: Tree, q: jax.Array) -> list[Pose]:
@@ -59,40 +59,45 @@ def chain(tree: Tree, q: jax.Array) -> list[Pose]:
     """
     batch = q.ndim - 1
     sines, cosines = sin_cos(q) if "hinge" in tree.kinds else (q, q)
-    place = lifted(tree.place, 2, batch, q.dtype)
-    rotation = lifted(tree.rotation, 3, batch, q.dtype)
+    place = with_batch_axes(tree.place, 2, batch, q.dtype)
+    rotation = with_batch_axes(tree.rotation, 3, batch, q.dtype)
     poses: list[Pose] = []
     for i, (kind, p) in enumerate(zip(tree.kinds, tree.parent, strict=True)):
-        shape = tree.shapes[i]
-        still = [
+        static = tree.shapes[i]
+        rest_rotation = [
             [rotation[i, r, c] if x is None else x for c, x in enumerate(row)]
-            for r, row in enumerate(shape.rotation)
+            for r, row in enumerate(static.rotation)
         ]
         origin: Vector = ZERO
-        turned: Rows = product(IDENTITY, still)
+        frame_rotation: Rows = product(IDENTITY, rest_rotation)
         if p >= 0:
-            turned = product(poses[p].rotation, still)
-            offset = [place[i, k] if x is None else x for k, x in enumerate(shape.place)]
+            frame_rotation = product(poses[p].rotation, rest_rotation)
+            offset = [place[i, k] if x is None else x for k, x in enumerate(static.place)]
             origin = plus(poses[p].origin, apply(poses[p].rotation, offset))
         if kind == "slide":
-            poses.append(Pose(turned, plus(origin, times(q[i], [row[2] for row in turned]))))
+            poses.append(
+                Pose(frame_rotation, plus(origin, times(q[i], [row[2] for row in frame_rotation])))
+            )
         else:
             s, c = sines[i], cosines[i]
-            rows = [(add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x)), z) for x, y, z in turned]
+            rows = [
+                (add(mul(c, x), mul(s, y)), sub(mul(c, y), mul(s, x)), z)
+                for x, y, z in frame_rotation
+            ]
             poses.append(Pose(tuple(rows), origin))
     return poses
 
 
-def together(poses: list[Pose], like: jax.Array) -> Pose:
-    """All joints' poses as one, with entries `[n, ...]`. An entry that is the same known number for
-    all of them stays one.
+def stack_poses(poses: list[Pose], like: jax.Array) -> Pose:
+    """Stack all joints' poses to one, with entries `[n, ...]`. An entry that is the same static
+    number for all of them stays one.
     """
 
     def entry(values: list[Entry]) -> Entry:
         first = values[0]
         if isinstance(first, int) and all(isinstance(x, int) and x == first for x in values):
             return first
-        return stacked(values, like)
+        return stack(values, like)
 
     rotation = tuple(
         tuple(entry([pose.rotation[r][c] for pose in poses]) for c in range(3)) for r in range(3)

@@ -24,15 +24,15 @@ ZERO: Vector = (0, 0, 0)
 IDENTITY: Rows = ((1, 0, 0), (0, 1, 0), (0, 0, 1))
 
 
-def known(x: Entry) -> bool:
+def is_static(x: Entry) -> bool:
     """Whether the entry is one of the integers."""
     return isinstance(x, int)
 
 
 def mul(a: Entry, b: Entry) -> Entry:
-    if known(b):
+    if is_static(b):
         a, b = b, a
-    if known(a):
+    if is_static(a):
         if a == 0:
             return 0
         if a == 1:
@@ -46,12 +46,12 @@ def neg(a: Entry) -> Entry:
 
 
 def add(a: Entry, b: Entry) -> Entry:
-    if known(b):
+    if is_static(b):
         a, b = b, a
-    if known(a):
+    if is_static(a):
         if a == 0:
             return b
-        if known(b):
+        if is_static(b):
             total = a + b
             if -1 <= total <= 1:
                 return total
@@ -60,11 +60,11 @@ def add(a: Entry, b: Entry) -> Entry:
 
 
 def sub(a: Entry, b: Entry) -> Entry:
-    if known(b) and b == 0:
+    if is_static(b) and b == 0:
         return a
-    if known(a) and a == 0:
+    if is_static(a) and a == 0:
         return neg(b)
-    if known(b):
+    if is_static(b):
         return add(a, neg(b))
     return a - b
 
@@ -118,7 +118,7 @@ def symmetric(xx: Entry, xy: Entry, xz: Entry, yy: Entry, yz: Entry, zz: Entry) 
     return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
 
 
-def stacked(entries: Sequence[Entry], like: jax.Array) -> jax.Array:
+def stack(entries: Sequence[Entry], like: jax.Array) -> jax.Array:
     """`[k, ...]` of `k` entries, of the common shape of them and of `like`."""
     shape = jnp.broadcast_shapes(like.shape, *(jnp.shape(x) for x in entries))
     return jnp.stack([jnp.broadcast_to(jnp.asarray(x, like.dtype), shape) for x in entries])
@@ -166,23 +166,25 @@ def momentum(body: InertialBody, m: Pair) -> Pair:
     return angular, plus(times(body.mass, m[1]), cross(m[0], body.moment))
 
 
-def turned(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> InertialBody:
-    """A body given in the axes of a frame of this rotation, in the world's."""
+def rotate_body(rotation: Rows, mass: Entry, moment: Vector, inertia: Rows) -> InertialBody:
+    """Rotate a body given in the axes of a frame of this rotation into the world's."""
     half = product(rotation, inertia)
     six = [dot(half[r], rotation[c]) for r in range(3) for c in range(r, 3)]
     return InertialBody(mass, apply(rotation, moment), symmetric(*six))
 
 
-def moved(body: InertialBody, d: Vector) -> InertialBody:
-    """The same body about a point from which the old one is `d` away."""
+def move_reference(body: InertialBody, d: Vector) -> InertialBody:
+    """Express a body about another point, from which the old one is `d` away (m)."""
     h, inertia = body.moment, body.inertia
     md = plus(h, times(body.mass, d))  # h d' + d h' + m d d' = h d' + d md'
-    much = add(dot(h, d), dot(md, d))
+    diagonal = add(dot(h, d), dot(md, d))
 
     def entry(r, c):
         return sub(inertia[r][c], add(mul(h[r], d[c]), mul(d[r], md[c])))
 
-    six = [add(entry(r, c), much) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)]
+    six = [
+        add(entry(r, c), diagonal) if r == c else entry(r, c) for r in range(3) for c in range(r, 3)
+    ]
     return InertialBody(body.mass, md, symmetric(*six))
 
 

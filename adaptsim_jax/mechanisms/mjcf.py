@@ -10,19 +10,27 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.mechanisms.inertia_frames import frame_along, inertial_about, moved
-from adaptsim_jax.mechanisms.roles import BALL, FREE, JOINTS, TURNS, Roles, roles, tendon_joints
+from adaptsim_jax.mechanisms.inertia_frames import compose, frame_along, inertial_about
+from adaptsim_jax.mechanisms.roles import (
+    BALL,
+    BALL_AXES,
+    FREE,
+    JOINT_TRANSMISSIONS,
+    Roles,
+    assign_roles,
+    tendon_joints,
+)
 from adaptsim_jax.mechanisms.spec import Source, read_source
 from adaptsim_jax.mechanisms.switches import has_off
 from adaptsim_jax.mechanisms.transmission import (
     TENDON,
     Actuator,
-    Added,
-    Place,
+    CoordinateMap,
+    PassiveElements,
     add_tendons,
     read_actuators,
 )
-from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, folded, make_tree
+from adaptsim_jax.mechanisms.tree import MOST_JOINTS, Tree, eliminate_followers, make_tree
 
 HINGE = int(mujoco.mjtJoint.mjJNT_HINGE)
 
@@ -46,8 +54,8 @@ class Mechanism:
 
     - `source`: The one of mjcf and urdf.
     - `notes`: Sentences on how it was read.
-    - `beyond`: What the file has and a tree has not, of the mechanism itself, a sentence each.
-    - `drives_beyond`: The same of its actuators.
+    - `unsupported`: Features of the mechanism itself that a tree lacks, a sentence each.
+    - `unsupported_drives`: The same of its actuators.
     - `force_limits [n, 2]`: Of all actuators of a joint together (nan: nothing bounds them).
     - `roles`: What each joint of the file became.
     """
@@ -59,8 +67,8 @@ class Mechanism:
     notes: tuple[str, ...]
     force_limits: np.ndarray
     frames: Frames
-    beyond: tuple[str, ...] = ()
-    drives_beyond: tuple[str, ...] = ()
+    unsupported: tuple[str, ...] = ()
+    unsupported_drives: tuple[str, ...] = ()
     roles: Roles | None = None
 
 
@@ -79,45 +87,55 @@ def mechanism_of(
     logged: Collection[str] | None = None,
     where: str = "",
 ) -> Mechanism:
-    """The tree of a file.
+    """Build the mechanism of a compiled file.
 
     Raises BadInput, naming the file, the joint or element, and the mend.
 
     Args:
-        hold, logged, where: See `roles.roles`.
+        hold, logged, where: See `roles.assign_roles`.
     """
     model = source.model
-    role = roles(source, hold or {}, logged, where)
-    walk = _Walk(model, role)
-    moving = len(walk.kinds) - len(role.followers)
-    if moving > MOST_JOINTS:
+    roles = assign_roles(source, hold or {}, logged, where)
+    walk = _Walk(model, roles)
+    n_moving = len(walk.kinds) - len(roles.followers)
+    if n_moving > MOST_JOINTS:
         raise BadInput(
-            f"{source.path}: {moving} joints move, more than "
+            f"{source.path}: {n_moving} joints move, more than "
             f"{MOST_JOINTS}; hold some: [hold] in meta.toml, {walk.names[-1]} = 0.0"
         )
     tree = _tree(model, walk, source.weightless)
-    leader, factor, offset = walk.followed(role)
-    tree = _in_reach(folded(tree, leader, factor, offset))
-    place = walk.places(role, leader, factor, offset)
-    added = Added(*np.zeros((5, tree.n)), beyond=[])
-    add_tendons(model, place, added)
-    own, added.beyond = tuple(added.beyond), []
-    actuators, idle = read_actuators(model, place, added)
-    tree = _with_added(tree, added)
+    leader, factor, offset = walk.follower_arrays(roles)
+    tree = _with_follower_ranges(eliminate_followers(tree, leader, factor, offset))
+    coordinates = walk.coordinate_map(roles, leader, factor, offset)
+    passive = PassiveElements(*np.zeros((5, tree.n)), unsupported=[])
+    add_tendons(model, coordinates, passive)
+    tendons_unsupported, passive.unsupported = tuple(passive.unsupported), []
+    actuators, idle_actuators = read_actuators(model, coordinates, passive)
+    tree = _with_passive(tree, passive)
     notes = (
         *source.notes,
-        *role.notes,
-        *((f"actuators of held joints, or off, do nothing: {', '.join(idle)}",) if idle else ()),
+        *roles.notes,
+        *(
+            (f"actuators of held joints, or off, do nothing: {', '.join(idle_actuators)}",)
+            if idle_actuators
+            else ()
+        ),
     )
-    beyond = (*role.beyond, *walk.beyond, *own, *_medium(model), *_curved(tree))
-    if bounded := [
+    unsupported = (
+        *roles.unsupported,
+        *walk.unsupported,
+        *tendons_unsupported,
+        *_medium(model),
+        *_curved(tree),
+    )
+    if limited_joints := [
         model.joint(k).name
         for k in range(model.njnt)
         if model.ngravcomp and model.jnt_actgravcomp[k] and model.jnt_actfrclimited[k]
     ]:
-        added.beyond.append(
-            f"gravity compensation within the force limits of {len(bounded)} joints ({bounded[0]}, "
-            "...)"
+        passive.unsupported.append(
+            f"gravity compensation within the force limits of {len(limited_joints)} joints "
+            f"({limited_joints[0]}, ...)"
         )
     return Mechanism(
         tree,
@@ -125,11 +143,11 @@ def mechanism_of(
         source.path,
         source.kind,
         notes,
-        _force_limits(model, tree, place),
+        _force_limits(model, tree, coordinates),
         walk.frames(tree),
-        beyond,
-        tuple(added.beyond),
-        role,
+        unsupported,
+        tuple(passive.unsupported),
+        roles,
     )
 
 
@@ -141,8 +159,8 @@ class _Walk:
     `inertial`, `gravcomp [m, 10]`.
     """
 
-    def __init__(self, model: mujoco.MjModel, role: Roles):
-        self.model, self.role = model, role
+    def __init__(self, model: mujoco.MjModel, roles: Roles):
+        self.model, self.roles = model, roles
         self.kinds: list[str] = []
         self.parent: list[int] = []
         self.names: list[str] = []
@@ -150,41 +168,45 @@ class _Walk:
         self.place: list[np.ndarray] = []
         self.rotation: list[np.ndarray] = []
         self.file: list[tuple[int, int]] = []
-        self.beyond: list[str] = []
+        self.unsupported: list[str] = []
         self.carrier: list[int] = [-1]
         self.frame: list[tuple[np.ndarray, np.ndarray]] = [(np.zeros(3), np.eye(3))]
         for b in range(1, model.nbody):
             self._body(b)
         self.inertial, self.gravcomp = np.zeros((2, len(self.kinds), 10))
         for b in range(1, model.nbody):
-            self._weigh(b)
+            self._add_inertia(b)
 
     def _body(self, b: int) -> None:
         model = self.model
-        up = int(model.body_parentid[b])
-        at, turn = moved(self.frame[up], (model.body_pos[b], rotation_of(model.body_quat[b])))
-        on = self.carrier[up]
-        first = int(model.body_jntadr[b])
-        for k in range(first, first + int(model.body_jntnum[b])):
+        parent = int(model.body_parentid[b])
+        place, rotation = compose(
+            self.frame[parent], (model.body_pos[b], rotation_of(model.body_quat[b]))
+        )
+        carrier = self.carrier[parent]
+        first_joint = int(model.body_jntadr[b])
+        for k in range(first_joint, first_joint + int(model.body_jntnum[b])):
             name, kind = model.joint(k).name, int(model.jnt_type[k])
             rest = model.qpos0[model.jnt_qposadr[k]]
-            if name in self.role.held:
-                at, turn = _held((at, turn), model, k, self.role.held[name])
+            if name in self.roles.held:
+                place, rotation = _fixed_joint_frame(
+                    (place, rotation), model, k, self.roles.held[name]
+                )
                 continue
             if kind == BALL:
-                at, turn, on = self._ball((at, turn), on, k, b)
+                place, rotation, carrier = self._ball((place, rotation), carrier, k, b)
                 continue
             along = frame_along(model.jnt_axis[k])
-            frame = turn @ along
-            anchor = at + turn @ model.jnt_pos[k]
+            frame = rotation @ along
+            anchor = place + rotation @ model.jnt_pos[k]
             if kind == HINGE:
-                self._joint("hinge", on, name, b, (k, 0), anchor, frame @ _about_z(-rest))
+                self._joint("hinge", carrier, name, b, (k, 0), anchor, frame @ _about_z(-rest))
             else:
-                anchor = anchor - turn @ model.jnt_axis[k] * rest
-                self._joint("slide", on, name, b, (k, 0), anchor, frame @ np.eye(3))
-            at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
-        self.carrier.append(on)
-        self.frame.append((at, turn))
+                anchor = anchor - rotation @ model.jnt_axis[k] * rest
+                self._joint("slide", carrier, name, b, (k, 0), anchor, frame @ np.eye(3))
+            place, rotation, carrier = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
+        self.carrier.append(carrier)
+        self.frame.append((place, rotation))
 
     def _joint(self, kind, parent, name, body, file, place, rotation) -> None:
         self.kinds.append(kind)
@@ -199,57 +221,62 @@ class _Walk:
                 self.body_names[i] = f"{body_name}:{self.names[i]}"
         self.body_names.append(body_name)
 
-    def _ball(self, frame, on: int, k: int, body: int):
+    def _ball(self, frame, carrier: int, k: int, body: int):
         """Three hinges about x, then y, then z, which turn the body as the ball does."""
-        model, (at, turn) = self.model, frame
+        model, (place, rotation) = self.model, frame
         name = model.joint(k).name
-        self.beyond.append(f"ball joint '{name}' as more than three hinges in turn")
-        for axis, unit in zip(TURNS, np.eye(3), strict=True):
-            along = frame_along(unit)
-            anchor = at + turn @ model.jnt_pos[k]
-            file = k, TURNS.index(axis)
-            self._joint("hinge", on, f"{name}_{axis}", body, file, anchor, turn @ along)
-            at, turn, on = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
-        return at, turn, on
+        self.unsupported.append(f"ball joint '{name}' as more than three hinges in turn")
+        for axis, axis_vector in zip(BALL_AXES, np.eye(3), strict=True):
+            along = frame_along(axis_vector)
+            anchor = place + rotation @ model.jnt_pos[k]
+            file = k, BALL_AXES.index(axis)
+            self._joint("hinge", carrier, f"{name}_{axis}", body, file, anchor, rotation @ along)
+            place, rotation, carrier = -along.T @ model.jnt_pos[k], along.T, len(self.kinds) - 1
+        return place, rotation, carrier
 
-    def _weigh(self, b: int) -> None:
-        model, (on, (at, turn)) = self.model, (self.carrier[b], self.frame[b])
-        if on < 0:
+    def _add_inertia(self, b: int) -> None:
+        model, (carrier, (place, rotation)) = self.model, (self.carrier[b], self.frame[b])
+        if carrier < 0:
             return
-        centre = at + turn @ model.body_ipos[b]
-        axes = turn @ rotation_of(model.body_iquat[b])
-        own = inertial_about(model.body_mass[b], centre, axes, model.body_inertia[b])
-        self.inertial[on] += own
-        self.gravcomp[on] += model.body_gravcomp[b] * own
+        centre = place + rotation @ model.body_ipos[b]
+        axes = rotation @ rotation_of(model.body_iquat[b])
+        inertial = inertial_about(model.body_mass[b], centre, axes, model.body_inertia[b])
+        self.inertial[carrier] += inertial
+        self.gravcomp[carrier] += model.body_gravcomp[b] * inertial
 
-    def followed(self, role: Roles) -> tuple[list[int], np.ndarray, np.ndarray]:
-        """leader, factor and offset of each joint, as `tree.folded` takes them."""
+    def follower_arrays(self, roles: Roles) -> tuple[list[int], np.ndarray, np.ndarray]:
+        """Return leader, factor and offset of each joint, as `tree.eliminate_followers` takes
+        them.
+        """
         number = {name: i for i, name in enumerate(self.names)}
         count = len(self.names)
         leader, factor, offset = list(range(count)), np.ones(count), np.zeros(count)
-        for f in role.followers.values():
+        for f in roles.followers.values():
             i = number[f.joint]
             leader[i], factor[i], offset[i] = number[f.leader], f.factor, f.offset
         return leader, factor, offset
 
-    def places(self, role: Roles, leader, factor, offset) -> Place:
-        """Of each joint of the file."""
+    def coordinate_map(self, roles: Roles, leader, factor, offset) -> CoordinateMap:
+        """Return the coordinate of each joint of the file."""
         model = self.model
-        own = [i for i in range(len(leader)) if leader[i] == i]
-        number = {i: j for j, i in enumerate(own)}
-        out = Place(np.full(model.njnt, -1), np.ones(model.njnt), np.zeros(model.njnt))
+        leaders = [i for i in range(len(leader)) if leader[i] == i]
+        number = {i: j for j, i in enumerate(leaders)}
+        coordinates = CoordinateMap(
+            np.full(model.njnt, -1), np.ones(model.njnt), np.zeros(model.njnt)
+        )
         for i, (k, _) in enumerate(self.file):
-            out.coordinate[k] = number[leader[i]]
-            out.factor[k] = factor[i]
-            out.offset[k] = offset[i]
+            coordinates.coordinate[k] = number[leader[i]]
+            coordinates.factor[k] = factor[i]
+            coordinates.offset[k] = offset[i]
         for k in range(model.njnt):
-            value = role.held.get(model.joint(k).name)
+            value = roles.held.get(model.joint(k).name)
             if value is not None and len(value) == 1:
-                out.offset[k] = value[0]
-        return out
+                coordinates.offset[k] = value[0]
+        return coordinates
 
     def frames(self, tree: Tree) -> Frames:
-        own = tuple(range(tree.n)) if tree.whole is None else tree.whole.own
+        """Return where the file's bodies are."""
+        own = tuple(range(tree.n)) if tree.all_joints is None else tree.all_joints.own
         number = {i: j for j, i in enumerate(own)}
         names = [self.model.body(b).name for b in range(self.model.nbody)]
         carrier = {name: number.get(on, -1) for name, on in zip(names, self.carrier, strict=True)}
@@ -258,41 +285,47 @@ class _Walk:
         return Frames(carrier, place, {name: turn for name, (_, turn) in frame.items()})
 
 
-def _held(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
-    """The frame of a body after its joint k, which is held at a value."""
+def _fixed_joint_frame(frame, model: mujoco.MjModel, k: int, value: np.ndarray):
+    """Return the frame of a body after its joint k, which is held at a value (rad or m)."""
     kind, adr = int(model.jnt_type[k]), int(model.jnt_qposadr[k])
     if kind == FREE:
         return value[:3].copy(), rotation_of(value[3:] / np.linalg.norm(value[3:]))
-    at, turn = frame
+    place, rotation = frame
     if kind == BALL:
-        own = rotation_of(value)
+        joint_rotation = rotation_of(value)
     elif kind == HINGE:
         along = frame_along(model.jnt_axis[k])
-        own = along @ _about_z(value[0] - model.qpos0[adr]) @ along.T
+        joint_rotation = along @ _about_z(value[0] - model.qpos0[adr]) @ along.T
     else:
-        return at + turn @ model.jnt_axis[k] * (value[0] - model.qpos0[adr]), turn
+        return place + rotation @ model.jnt_axis[k] * (value[0] - model.qpos0[adr]), rotation
     pivot = model.jnt_pos[k]
-    return at + turn @ (pivot - own @ pivot), turn @ own
+    return place + rotation @ (pivot - joint_rotation @ pivot), rotation @ joint_rotation
 
 
 def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tree:
     """The tree of all joints that are not held."""
     joint = np.array([k for k, _ in walk.file], int)
-    turn = np.array([t for _, t in walk.file], int)
+    axis = np.array([t for _, t in walk.file], int)
     ball = model.jnt_type[joint] == BALL
-    dof, adr = model.jnt_dofadr[joint] + turn, model.jnt_qposadr[joint]
+    dof, adr = model.jnt_dofadr[joint] + axis, model.jnt_qposadr[joint]
     inertial = walk.inertial.copy()
     # a link without any inertia was given a little, so that MuJoCo reads it
     for i in range(len(joint)):
-        own = [model.body(b).name for b in range(model.nbody) if walk.carrier[b] == i]
-        if own and all(name in weightless for name in own):
+        bodies = [model.body(b).name for b in range(model.nbody) if walk.carrier[b] == i]
+        if bodies and all(name in weightless for name in bodies):
             inertial[i] = 0.0
     weight = model.dof_invweight0[dof]
-    stop = np.concatenate([model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1)
+    stop_params = np.concatenate(
+        [model.jnt_solref[joint], model.jnt_solimp[joint], weight[:, None]], 1
+    )
     minimum = 0.0 if has_off(model, "refsafe") else 2 * model.opt.timestep
-    lag = stop[:, 0]
-    stop[:, 0] = np.where(lag > 0, np.maximum(lag, minimum), lag)
-    rub = _rubs(model.dof_solref[dof], model.dof_solimp[dof], weight, minimum)
+    time_constant = stop_params[:, 0]
+    stop_params[:, 0] = np.where(
+        time_constant > 0, np.maximum(time_constant, minimum), time_constant
+    )
+    friction_softness = _friction_softness(
+        model.dof_solref[dof], model.dof_solimp[dof], weight, minimum
+    )
     limited = [bool(x) for x in model.jnt_limited[joint] & ~ball]
     place = np.array(walk.place).reshape(-1, 3)
     rotation = np.array(walk.rotation).reshape(-1, 3, 3)
@@ -314,14 +347,16 @@ def _tree(model: mujoco.MjModel, walk: _Walk, weightless: Collection[str]) -> Tr
         stiffness_poly=model.jnt_stiffnesspoly[joint],
         springref=np.where(ball, 0.0, model.qpos_spring[adr]),
         range=np.where(ball[:, None], 0.0, model.jnt_range[joint]),
-        stop=stop,
-        rub=rub,
+        stop_params=stop_params,
+        friction_softness=friction_softness,
         gravcomp=walk.gravcomp,
     )
 
 
-def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, minimum: float) -> np.ndarray:
-    """How dry friction gives `[n, 2]`, as of `Tree`.
+def _friction_softness(
+    solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, minimum: float
+) -> np.ndarray:
+    """Return `friction_softness [n, 2]` of a `Tree`.
 
     Friction loss has no position, so that its impedance is the first of `solimp` and its reference
     acceleration is -b v (MuJoCo's documentation, "Computation", constraint model).
@@ -330,67 +365,71 @@ def _rubs(solref: np.ndarray, solimp: np.ndarray, weight: np.ndarray, minimum: f
         solref, solimp, weight: Of `n` joints.
         minimum: Of a time constant, s.
     """
-    time, ratio, most = solref[:, 0], solref[:, 1], solimp[:, 1]
-    direct = time <= 0
+    time, ratio, max_impedance = solref[:, 0], solref[:, 1], solimp[:, 1]
+    is_direct = time <= 0
     rate = np.where(
-        direct, -ratio / most, 2.0 / (most * np.where(direct, 1.0, np.maximum(time, minimum)))
+        is_direct,
+        -ratio / max_impedance,
+        2.0 / (max_impedance * np.where(is_direct, 1.0, np.maximum(time, minimum))),
     )
     share = np.clip(solimp[:, 0], 1e-4, 1.0 - 1e-4)
     return np.stack([rate, (1.0 - share) / share * weight], 1)
 
 
-def _with_added(tree: Tree, added: Added) -> Tree:
-    """With what tendons and actuators add to the joints' own."""
-    stiff = tree.stiffness + added.stiffness
-    pull = tree.stiffness * tree.springref + added.pull
-    rest = pull / np.where(stiff > 0, stiff, 1.0)
+def _with_passive(tree: Tree, passive: PassiveElements) -> Tree:
+    """Add what tendons and actuators do passively to the joints' own."""
+    stiffness = tree.stiffness + passive.stiffness
+    spring_force = tree.stiffness * tree.springref + passive.pull
+    rest_position = spring_force / np.where(stiffness > 0, stiffness, 1.0)
     return replace(
         tree,
-        armature=tree.armature + added.armature,
-        damping=tree.damping + added.damping,
-        frictionloss=tree.frictionloss + added.frictionloss,
-        stiffness=stiff,
-        springref=np.where(added.stiffness > 0, rest, tree.springref),
+        armature=tree.armature + passive.armature,
+        damping=tree.damping + passive.damping,
+        frictionloss=tree.frictionloss + passive.frictionloss,
+        stiffness=stiffness,
+        springref=np.where(passive.stiffness > 0, rest_position, tree.springref),
     )
 
 
-def _force_limits(model: mujoco.MjModel, tree: Tree, place: Place) -> np.ndarray:
-    """[n, 2] of what actuators together do to each coordinate, nan where nothing bounds it: summed
-    over its driven joints.
+def _force_limits(model: mujoco.MjModel, tree: Tree, coordinates: CoordinateMap) -> np.ndarray:
+    """Sum the force limits [n, 2] (N m or N) of each coordinate over its driven joints; nan where
+    nothing bounds it.
     """
     driven = set()
     for k in range(model.nu):
         target = int(model.actuator_trnid[k, 0])
-        if model.actuator_trntype[k] in JOINTS:
+        if model.actuator_trntype[k] in JOINT_TRANSMISSIONS:
             driven.add(target)
         elif model.actuator_trntype[k] == TENDON:
             driven |= set(tendon_joints(model, target))
     out = np.zeros((tree.n, 2))
-    bounded = np.zeros(tree.n, bool)
+    is_driven = np.zeros(tree.n, bool)
     for k in sorted(driven):
-        if (j := int(place.coordinate[k])) >= 0:
+        if (j := int(coordinates.coordinate[k])) >= 0:
             if model.jnt_actfrclimited[k]:
-                own = place.factor[k] * model.jnt_actfrcrange[k]
+                limits = coordinates.factor[k] * model.jnt_actfrcrange[k]
             else:
-                own = [-np.inf, np.inf]
-            out[j] += np.sort(own)
-            bounded[j] = True
-    return np.where(bounded[:, None] & np.isfinite(out), out, np.nan)
+                limits = [-np.inf, np.inf]
+            out[j] += np.sort(limits)
+            is_driven[j] = True
+    return np.where(is_driven[:, None] & np.isfinite(out), out, np.nan)
 
 
-def _in_reach(tree: Tree) -> Tree:
-    """With the ranges of joints that follow others put on their leaders'."""
-    whole = tree.whole
-    if whole is None:
+def _with_follower_ranges(tree: Tree) -> Tree:
+    """Intersect the ranges of leaders with those of the joints that follow them."""
+    all_joints = tree.all_joints
+    if all_joints is None:
         return tree
-    every, bounds, limited = whole.tree, np.array(tree.range, float), list(tree.limited)
-    for k, j in enumerate(whole.leader):
-        if every.limited[k] and k != whole.own[j]:
-            own = np.sort((np.asarray(every.range)[k] - whole.offset[k]) / whole.factor[k])
+    full, bounds, limited = all_joints.tree, np.array(tree.range, float), list(tree.limited)
+    for k, j in enumerate(all_joints.leader):
+        if full.limited[k] and k != all_joints.own[j]:
+            leader_range = np.sort(
+                (np.asarray(full.range)[k] - all_joints.offset[k]) / all_joints.factor[k]
+            )
             if limited[j]:
-                bounds[j] = [max(bounds[j, 0], own[0]), min(bounds[j, 1], own[1])]
+                bounds[j] = [max(bounds[j, 0], leader_range[0]), min(bounds[j, 1], leader_range[1])]
             else:
-                bounds[j] = own
+                bounds[j] = leader_range
             limited[j] = True
     return replace(tree, range=bounds, limited=tuple(limited))
 

@@ -39,7 +39,7 @@ def parse(name: str) -> NumberName | None:
 
 
 def element_names(model: mujoco.MjModel, kind: str) -> list[str | None]:
-    """By number; None for one without a name."""
+    """Return the names of elements by number; None for one without a name."""
     count = getattr(model, _COUNTS.get(kind, f"n{kind}"))
     return [mujoco.mj_id2name(model, _object(kind), i) for i in range(count)]
 
@@ -49,7 +49,9 @@ def element_number(model: mujoco.MjModel, kind: str, name: str) -> int:
     return mujoco.mj_name2id(model, _object(kind), name)
 
 
-def place(model: mujoco.MjModel, kind: str, attribute: str, element: int) -> tuple[str, int]:
+def array_and_row(
+    model: mujoco.MjModel, kind: str, attribute: str, element: int
+) -> tuple[str, int]:
     """The array that holds the attribute, whether the model has it or not, and the element's row in
     it (of the option: 0).
     """

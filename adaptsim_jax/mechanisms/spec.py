@@ -39,7 +39,7 @@ def read_source(path: str | os.PathLike) -> Source:
 
     Raises BadInput, naming the file, the element, and the mend.
     """
-    spec, kind, urdf = _parsed(path)
+    spec, kind, urdf = _parse(path)
     where = str(path)
     without_shapes(spec)
     model = compiled(where, spec)
@@ -50,8 +50,8 @@ def read_source(path: str | os.PathLike) -> Source:
         )
     if spec.flexes:
         raise BadInput(
-            f"{where}: flex '{_name(spec.flexes[0])}' is a soft body, which is not modelled; "
-            "remove it"
+            f"{where}: flex '{_element_name(spec.flexes[0])}' is a soft body, which is not "
+            "modelled; remove it"
         )
     if urdf is None:
         return Source(where, kind, model)
@@ -62,10 +62,10 @@ def read_spec(path: str | os.PathLike) -> tuple[mujoco.MjSpec, str]:
     """The file as MuJoCo's parser has it, not compiled; and `mjcf` or `urdf`. Links of a URDF stay
     bodies of their own.
     """
-    return _parsed(path)[:2]
+    return _parse(path)[:2]
 
 
-def _parsed(path: str | os.PathLike):
+def _parse(path: str | os.PathLike):
     where = Path(path)
     try:
         text = where.read_text(encoding="utf-8")
@@ -75,7 +75,7 @@ def _parsed(path: str | os.PathLike):
         ) from None
     except (OSError, UnicodeDecodeError) as error:
         raise BadInput(
-            f"{where}: cannot be read ({_line(error)}); give the path of an MJCF or URDF file"
+            f"{where}: cannot be read ({_error_line(error)}); give the path of an MJCF or URDF file"
         ) from None
     if is_urdf(str(where), text):
         urdf = urdf_for_mujoco(str(where), text)
@@ -89,9 +89,11 @@ def _parsed(path: str | os.PathLike):
     except (
         Exception
     ) as error:  # MuJoCo raises ValueError and RuntimeError, with the line in the text
-        raise BadInput(f"{where}: MuJoCo cannot read it: {_line(error)}; mend the file") from None
+        raise BadInput(
+            f"{where}: MuJoCo cannot read it: {_error_line(error)}; mend the file"
+        ) from None
     spec.compiler.fusestatic = False
-    _named(spec)
+    _name_elements(spec)
     return spec, "mjcf" if urdf is None else "urdf", urdf
 
 
@@ -100,7 +102,7 @@ def compiled(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     try:
         return spec.compile()
     except Exception as error:
-        text = _line(error)
+        text = _error_line(error)
         if pointer := _pointer(spec):
             raise BadInput(
                 f"{where}: {pointer} is a pointer of Git LFS, no mesh; fetch it by 'git lfs pull', "
@@ -119,17 +121,17 @@ def shapeless(where: str, spec: mujoco.MjSpec) -> mujoco.MjModel:
     MuJoCo refuses it.
     """
     for geom in list(spec.geoms):
-        if geom.type in SHAPES and not _weighs(spec, geom):
+        if geom.type in SHAPES and not _has_mass(spec, geom):
             spec.delete(geom)
     _without_files(spec)
     return compiled(where, spec)
 
 
-def _line(error: Exception) -> str:
+def _error_line(error: Exception) -> str:
     return " ".join(str(error).removeprefix("Error: ").split()).rstrip(".")
 
 
-def _named(spec: mujoco.MjSpec) -> None:
+def _name_elements(spec: mujoco.MjSpec) -> None:
     """Every body, joint, actuator and tendon gets a name that is not taken yet."""
     kinds = (
         ("body", spec.bodies),
@@ -148,7 +150,7 @@ def _named(spec: mujoco.MjSpec) -> None:
                 item.name = name
 
 
-def _name(element: Any) -> str:
+def _element_name(element: Any) -> str:
     return element.name or f"number {element.id + 1}"
 
 
@@ -159,7 +161,7 @@ def without_shapes(spec: mujoco.MjSpec) -> None:
         for item in list(kind):
             spec.delete(item)
     for geom in list(spec.geoms):
-        if not (_weighs(spec, geom) or (wrapped and geom.type not in SHAPES)):
+        if not (_has_mass(spec, geom) or (wrapped and geom.type not in SHAPES)):
             spec.delete(geom)
     _without_files(spec)
 
@@ -168,14 +170,14 @@ SHAPES = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)
 """Geoms that are read from files."""
 
 
-def _weighs(spec: mujoco.MjSpec, geom: Any) -> bool:
+def _has_mass(spec: mujoco.MjSpec, geom: Any) -> bool:
     """Whether a geom is part of its body's mass."""
     body, compiler = geom.parent, spec.compiler
-    from_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-    light = geom.mass == 0 or (math.isnan(geom.mass) and geom.density == 0)
+    uses_geoms = compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
+    is_massless = geom.mass == 0 or (math.isnan(geom.mass) and geom.density == 0)
     low, high = compiler.inertiagrouprange
-    counts = not light and low <= geom.group <= high
-    return body.name != "world" and counts and (from_geoms or not body.explicitinertial)
+    is_counted = not is_massless and low <= geom.group <= high
+    return body.name != "world" and is_counted and (uses_geoms or not body.explicitinertial)
 
 
 def _without_files(spec: mujoco.MjSpec) -> None:

@@ -31,9 +31,11 @@ CONSTRAINTS = ("equality", "frictionloss", "limit")
 
 def has_off(model: mujoco.MjModel, flag: str) -> bool:
     """Whether a flag is disabled, by itself or with all constraints."""
-    own = int(model.opt.disableflags)
-    every = flag in CONSTRAINTS and has_off(model, "constraint")
-    return every or bool(own & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}")))
+    flags = int(model.opt.disableflags)
+    is_constraint_off = flag in CONSTRAINTS and has_off(model, "constraint")
+    return is_constraint_off or bool(
+        flags & int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{flag.upper()}"))
+    )
 
 
 def switch_off(model: mujoco.MjModel) -> None:
@@ -51,5 +53,5 @@ def switch_off(model: mujoco.MjModel) -> None:
 def is_off(model: mujoco.MjModel, actuator: int) -> bool:
     """Whether an actuator does nothing, by its group or by the flag of all."""
     group = int(model.actuator_group[actuator])
-    own = group in np.flatnonzero(int(model.opt.disableactuator) >> np.arange(31) & 1)
-    return own or has_off(model, "actuation")
+    is_group_off = group in np.flatnonzero(int(model.opt.disableactuator) >> np.arange(31) & 1)
+    return is_group_off or has_off(model, "actuation")

@@ -17,7 +17,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from adaptsim_jax.mechanisms.roles import JOINTS, WRAPPED
+from adaptsim_jax.mechanisms.roles import JOINT_TRANSMISSIONS, WRAP_JOINT
 from adaptsim_jax.mechanisms.switches import is_off
 
 NO_RANGE = (float("nan"), float("nan"))
@@ -53,7 +53,7 @@ FIXED, AFFINE = int(mujoco.mjtGain.mjGAIN_FIXED), int(mujoco.mjtGain.mjGAIN_AFFI
 
 
 @dataclass(frozen=True)
-class Place:
+class CoordinateMap:
     """Where the joints of the file are in the tree. coordinate, factor, offset by joint of the
     file: it is at offset + factor * q[coordinate]; coordinate -1: held at its offset.
     """
@@ -64,12 +64,12 @@ class Place:
 
 
 @dataclass
-class Added:
-    """What acts on the coordinates besides the joints' own.
+class PassiveElements:
+    """Rotors, dampers, friction and springs of tendons and actuators, on the coordinates.
 
     - `armature`, `damping`, `frictionloss`, `stiffness`: `[n]`.
     - `pull [n]`: The force of these springs at zero.
-    - `beyond`: What a tree has not, a sentence each.
+    - `unsupported`: Features that a tree lacks, a sentence each.
     """
 
     armature: np.ndarray
@@ -77,73 +77,81 @@ class Added:
     frictionloss: np.ndarray
     stiffness: np.ndarray
     pull: np.ndarray
-    beyond: list[str] = field(default_factory=list)
+    unsupported: list[str] = field(default_factory=list)
 
 
 def length(
-    model: mujoco.MjModel, place: Place, joint: int = -1, tendon: int = -1
+    model: mujoco.MjModel, coordinates: CoordinateMap, joint: int = -1, tendon: int = -1
 ) -> tuple[dict[int, float], float] | None:
     """A joint's or fixed tendon's length as (slope by coordinate, length at zero); None where it is
     no such sum.
     """
-    parts = [(joint, 1.0)] if joint >= 0 else []
+    terms = [(joint, 1.0)] if joint >= 0 else []
     if tendon >= 0:
         rows = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
-        if any(model.wrap_type[w] != WRAPPED for w in rows):
+        if any(model.wrap_type[w] != WRAP_JOINT for w in rows):
             return None
-        parts = [(int(model.wrap_objid[w]), float(model.wrap_prm[w])) for w in rows]
+        terms = [(int(model.wrap_objid[w]), float(model.wrap_prm[w])) for w in rows]
     slope: dict[int, float] = {}
-    start = 0.0
-    for k, c in parts:
+    zero_length = 0.0
+    for k, c in terms:
         if model.jnt_type[k] not in SINGLE:
             return None
-        start += c * place.offset[k]
-        if (j := int(place.coordinate[k])) >= 0:
-            slope[j] = slope.get(j, 0.0) + c * place.factor[k]
-    return {j: c for j, c in slope.items() if c != 0.0}, start
+        zero_length += c * coordinates.offset[k]
+        if (j := int(coordinates.coordinate[k])) >= 0:
+            slope[j] = slope.get(j, 0.0) + c * coordinates.factor[k]
+    return {j: c for j, c in slope.items() if c != 0.0}, zero_length
 
 
 def read_actuators(
-    model: mujoco.MjModel, place: Place, added: Added
+    model: mujoco.MjModel, coordinates: CoordinateMap, passive: PassiveElements
 ) -> tuple[tuple[Actuator, ...], tuple[str, ...]]:
     """The actuators that move coordinates of the tree, in the file's order; and the names of those
     that move held joints only, or that the file switches off.
     """
-    out, idle = [], []
+    actuators, idle = [], []
     for k in range(model.nu):
         name = model.actuator(k).name
         kind = int(model.actuator_trntype[k])
         target = int(model.actuator_trnid[k, 0])
-        found = None
-        if kind in JOINTS:
-            found = length(model, place, joint=target)
+        affine_length = None
+        if kind in JOINT_TRANSMISSIONS:
+            affine_length = length(model, coordinates, joint=target)
         elif kind == TENDON:
-            found = length(model, place, tendon=target)
-        if found is None:
+            affine_length = length(model, coordinates, tendon=target)
+        if affine_length is None:
             where = {TENDON: "a tendon over sites"}.get(
                 kind, f"a {mujoco.mjtTrn(kind).name[6:].lower()}"
             )
-            added.beyond.append(
-                f"actuator '{name}' on {where if kind not in JOINTS else 'a ball or free joint'}"
+            passive.unsupported.append(
+                f"actuator '{name}' on "
+                f"{where if kind not in JOINT_TRANSMISSIONS else 'a ball or free joint'}"
             )
             continue
-        slope, start = found
+        slope, zero_length = affine_length
         gear = float(model.actuator_gear[k, 0])
         for j, c in slope.items():
-            added.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
-            added.damping[j] += (gear * c) ** 2 * model.actuator_damping[k]
+            passive.armature[j] += (gear * c) ** 2 * model.actuator_armature[k]
+            passive.damping[j] += (gear * c) ** 2 * model.actuator_damping[k]
         if not slope or is_off(model, k):
             idle.append(name)
             continue
-        law, why = _law(model, k)
+        law, why = _affine_law(model, k)
         if why:
-            added.beyond.append(f"actuator '{name}' {why}")
-        home = max(slope, key=lambda j: (abs(slope[j]), -j))
-        offset = law.offset - law.kp * gear * start
-        more = tuple((j, gear * c) for j, c in slope.items() if j != home)
-        law = replace(law, name=name, joint=home, gear=gear * slope[home], offset=offset, more=more)
-        out.append(law)
-    return tuple(out), tuple(idle)
+            passive.unsupported.append(f"actuator '{name}' {why}")
+        main_coordinate = max(slope, key=lambda j: (abs(slope[j]), -j))
+        offset = law.offset - law.kp * gear * zero_length
+        others = tuple((j, gear * c) for j, c in slope.items() if j != main_coordinate)
+        law = replace(
+            law,
+            name=name,
+            joint=main_coordinate,
+            gear=gear * slope[main_coordinate],
+            offset=offset,
+            more=others,
+        )
+        actuators.append(law)
+    return tuple(actuators), tuple(idle)
 
 
 def _kind(gain: float, offset: float, kp: float, kv: float) -> str:
@@ -158,7 +166,7 @@ def _kind(gain: float, offset: float, kp: float, kv: float) -> str:
 
 
 def _motor_law(model: mujoco.MjModel, k: int, shared: dict[str, Any]) -> tuple[Actuator, str]:
-    """The law of a DC motor; see `_law`."""
+    """The law of a DC motor; see `_affine_law`."""
     gain, bias, dyn = model.actuator_gainprm[k], model.actuator_biasprm[k], model.actuator_dynprm[k]
     why = ""
     if np.any(gain[2:]) or np.any(bias) or np.any(dyn):
@@ -169,7 +177,7 @@ def _motor_law(model: mujoco.MjModel, k: int, shared: dict[str, Any]) -> tuple[A
     return Actuator("", 0, "dcmotor", **law, **shared), why
 
 
-def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
+def _affine_law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
     """The law of an actuator without where it acts, and what of it a tree has not ('' where it has
     all).
     """
@@ -179,33 +187,33 @@ def _law(model: mujoco.MjModel, k: int) -> tuple[Actuator, str]:
         for x in (model.actuator_gaintype, model.actuator_biastype, model.actuator_dyntype)
     )
 
-    def limited(on, values):
-        if on:
+    def range_where(limited, values):
+        if limited:
             return tuple(map(float, values))
         return NO_RANGE
 
     shared: dict[str, Any] = {
-        "forcerange": limited(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
-        "ctrlrange": limited(model.actuator_ctrllimited[k], model.actuator_ctrlrange[k]),
+        "forcerange": range_where(model.actuator_forcelimited[k], model.actuator_forcerange[k]),
+        "ctrlrange": range_where(model.actuator_ctrllimited[k], model.actuator_ctrlrange[k]),
         "delay": float(model.actuator_delay[k]),
     }
     if gaintype == int(mujoco.mjtGain.mjGAIN_DCMOTOR):
         return _motor_law(model, k, shared)
     why = ["is a plugin's"] if model.actuator_plugin[k] >= 0 else []
-    lagged = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
-    if not lagged and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
+    is_filtered = dyntype in (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
+    if not is_filtered and dyntype != int(mujoco.mjtDyn.mjDYN_NONE):
         why.append(f"has a memory ({mujoco.mjtDyn(dyntype).name[6:].lower()})")
     if gaintype not in (FIXED, AFFINE) or (gaintype == AFFINE and np.any(gain[1:3])):
         why.append("has a gain that is not one number")
-    straight = biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    if not straight and biastype != int(mujoco.mjtBias.mjBIAS_NONE):
+    is_affine = biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    if not is_affine and biastype != int(mujoco.mjtBias.mjBIAS_NONE):
         why.append("has a bias that is not affine")
-    if straight:
+    if is_affine:
         offset, kp, kv = (float(bias[0]), float(-bias[1]), float(-bias[2]))
     else:
         offset, kp, kv = (0.0, 0.0, 0.0)
     kind = _kind(gain[0], offset, kp, kv)
-    lag = float(dyn[0]) if lagged else 0.0
+    lag = float(dyn[0]) if is_filtered else 0.0
     return Actuator(
         "", 0, kind, gain=float(gain[0]), offset=offset, kp=kp, kv=kv, lag=lag, **shared
     ), " and ".join(why)
@@ -218,33 +226,42 @@ def _dcmotor(model: mujoco.MjModel, k: int) -> str:
     return "cogging or friction"
 
 
-def add_tendons(model: mujoco.MjModel, place: Place, added: Added) -> None:
+def add_tendons(
+    model: mujoco.MjModel, coordinates: CoordinateMap, passive: PassiveElements
+) -> None:
     """Springs, dampers, friction and rotors of fixed tendons, on the coordinate that each is of."""
     for t in range(model.ntendon):
         name = model.tendon(t).name
-        d, k = float(model.tendon_damping[t]), float(model.tendon_stiffness[t])
-        curved = np.any(model.tendon_dampingpoly[t]) or np.any(model.tendon_stiffnesspoly[t])
-        rub, arm = float(model.tendon_frictionloss[t]), float(model.tendon_armature[t])
+        damping, stiffness = float(model.tendon_damping[t]), float(model.tendon_stiffness[t])
+        has_polynomial = np.any(model.tendon_dampingpoly[t]) or np.any(
+            model.tendon_stiffnesspoly[t]
+        )
+        frictionloss, armature = (
+            float(model.tendon_frictionloss[t]),
+            float(model.tendon_armature[t]),
+        )
         limited = bool(model.tendon_limited[t])
-        if not (d or k or curved or rub or arm or limited):
+        if not (damping or stiffness or has_polynomial or frictionloss or armature or limited):
             continue
-        found = length(model, place, tendon=t)
-        slack = model.tendon_lengthspring[t]
-        bare = slack[0] == slack[1] and not curved and not limited
-        if found is not None and not found[0]:
+        affine_length = length(model, coordinates, tendon=t)
+        rest_range = model.tendon_lengthspring[t]
+        is_linear_spring = rest_range[0] == rest_range[1] and not has_polynomial and not limited
+        if affine_length is not None and not affine_length[0]:
             continue
-        if found is None or len(found[0]) > 1 or not bare:
-            added.beyond.append(
+        if affine_length is None or len(affine_length[0]) > 1 or not is_linear_spring:
+            passive.unsupported.append(
                 f"what tendon '{name}' does by itself (spring, damper, friction or limit)"
             )
-            if found is None or len(found[0]) > 1:
+            if affine_length is None or len(affine_length[0]) > 1:
                 continue
-        ((j, c),), start = found[0].items(), found[1]
-        added.damping[j] += c * c * d
-        added.armature[j] += c * c * arm
-        added.frictionloss[j] += abs(c) * rub
-        added.stiffness[j] += c * c * k
-        added.pull[j] += c * k * (float(slack.mean()) - start)
+        ((j, c),), zero_length = affine_length[0].items(), affine_length[1]
+        passive.damping[j] += c * c * damping
+        passive.armature[j] += c * c * armature
+        passive.frictionloss[j] += abs(c) * frictionloss
+        passive.stiffness[j] += c * c * stiffness
+        passive.pull[j] += c * stiffness * (float(rest_range.mean()) - zero_length)
     for e in range(model.neq):
         if model.eq_active0[e] and model.eq_type[e] == int(mujoco.mjtEq.mjEQ_TENDON):
-            added.beyond.append(f"an equality of tendon '{model.tendon(model.eq_obj1id[e]).name}'")
+            passive.unsupported.append(
+                f"an equality of tendon '{model.tendon(model.eq_obj1id[e]).name}'"
+            )

@@ -15,7 +15,7 @@ Arrays are numpy in double precision until a function of `dynamics.py` casts the
 `q`. They may carry lanes on trailing axes, as if each mechanism of a batch had its own.
 
 **Followers.** A joint that follows another (a mimic, an equality of two joints) is no coordinate of
-its own: `whole` then is the tree of all joints, and says which coordinate each of them goes with.
+its own: `all_joints` then has the tree of all joints, and the coordinate that each goes with.
 The fields of the tree itself are those of its coordinates, each at the joint that it is named
 after. What followers have of friction, inertia of rotors and springs is added to theirs.
 """
@@ -45,7 +45,7 @@ class Shape:
 
 
 @dataclass(frozen=True)
-class Whole:
+class AllJoints:
     """All joints of a tree of which some follow others.
 
     Joint k is at `offset[k] + factor[k] * q[leader[k]]`.
@@ -65,7 +65,7 @@ class Whole:
 
 
 jax.tree_util.register_dataclass(
-    Whole, data_fields=["tree", "factor", "offset"], meta_fields=["leader", "own"]
+    AllJoints, data_fields=["tree", "factor", "offset"], meta_fields=["leader", "own"]
 )
 
 
@@ -80,10 +80,10 @@ class Tree:
     - `damping_poly`, `stiffness_poly [n, 2]`: MuJoCo's higher coefficients. The force is
       -(d + d1 |v| + d2 v^2) v, and so with q - springref.
     - `range [n, 2]`: Rad or m, of use where `limited`.
-    - `stop [n, 8]`: What a limit does there. MuJoCo's two numbers of `solref`, five of `solimp`,
-      and the joint's inverse weight (1 / (kg m^2) or 1 / kg).
-    - `rub [n, 2]`: How dry friction gives, zeros where it is sharp. The rate 1/s at which it ends
-      a speed, and what it adds to the joint's inverse weight.
+    - `stop_params [n, 8]`: What a limit does there. MuJoCo's two numbers of `solref`, five of
+      `solimp`, and the joint's inverse weight (1 / (kg m^2) or 1 / kg).
+    - `friction_softness [n, 2]`: How dry friction gives, zeros where it is sharp. The rate 1/s at
+      which it ends a speed, and what it adds to the joint's inverse weight.
     - `gravcomp [n, 10]`: Inertial parameters of what is held up against gravity, where
       `compensated`.
     - `linear`: Its equations of motion are those about rest at zero (`equations.py`).
@@ -108,10 +108,10 @@ class Tree:
     damping_poly: Array
     stiffness_poly: Array
     range: Array
-    stop: Array
-    rub: Array
+    stop_params: Array
+    friction_softness: Array
     gravcomp: Array
-    whole: Whole | None = None
+    all_joints: AllJoints | None = None
     linear: bool = False
 
     @property
@@ -131,32 +131,32 @@ class Tree:
         return tuple(shape.massless for shape in self.shapes)
 
     def unit(self, joint: int) -> str:
-        """Of the joint's coordinate."""
+        """Return the unit of the joint's coordinate."""
         if self.kinds[joint] == "hinge":
             return "rad"
         return "m"
 
 
-def compensated(tree: Tree, share: float) -> Tree:
-    """The tree with a share of every body's weight held up, whatever it was before."""
-    if tree.whole is not None:
-        every = compensated(tree.whole.tree, share)
-        return replace(tree, whole=replace(tree.whole, tree=every))
-    rows = share * np.asarray(tree.inertial)
-    on = tuple(bool(np.any(row)) for row in rows)
-    return replace(tree, gravcomp=rows, compensated=on)
+def with_compensation(tree: Tree, share: float) -> Tree:
+    """Return the tree with a share of every body's weight held up, whatever it was before."""
+    if tree.all_joints is not None:
+        full = with_compensation(tree.all_joints.tree, share)
+        return replace(tree, all_joints=replace(tree.all_joints, tree=full))
+    held_up = share * np.asarray(tree.inertial)
+    is_compensated = tuple(bool(np.any(row)) for row in held_up)
+    return replace(tree, gravcomp=held_up, compensated=is_compensated)
 
 
 _OF_EACH = ("joint_names", "kinds", "parent", "body_names", "limited", "compensated", "shapes")
 _META = (*_OF_EACH, "linear")
 _DATA = tuple(f.name for f in fields(Tree) if f.name not in _META)
-_OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "whole"))
+_OF_JOINTS = tuple(name for name in _DATA if name not in ("gravity", "all_joints"))
 _SIZES = {
     "damping_poly": (2,),
     "stiffness_poly": (2,),
     "range": (2,),
-    "stop": (8,),
-    "rub": (2,),
+    "stop_params": (8,),
+    "friction_softness": (2,),
     "gravcomp": (10,),
 }
 jax.tree_util.register_dataclass(Tree, data_fields=_DATA, meta_fields=_META)
@@ -221,12 +221,12 @@ def make_tree(
         gravity=np.asarray(gravity, float),
         **rest,
     )
-    return reshaped(tree)
+    return with_static_entries(tree)
 
 
-def reshaped(tree: Tree) -> Tree:
-    """The tree with `shapes` found anew, after `place`, `rotation` or `inertial` were replaced by
-    other numbers.
+def with_static_entries(tree: Tree) -> Tree:
+    """Return the tree with the `shapes` (exact -1, 0 and 1) of its `place`, `rotation` and
+    `inertial`, which may have been replaced by other numbers.
     """
     place, rotation, inertial = (
         np.asarray(x, float) for x in (tree.place, tree.rotation, tree.inertial)
@@ -242,12 +242,12 @@ def reshaped(tree: Tree) -> Tree:
 
 
 def _snapped(x: np.ndarray) -> np.ndarray:
-    whole = np.round(x)
-    return np.where((np.abs(x - whole) < EXACT) & (np.abs(whole) <= 1), whole, x)
+    rounded = np.round(x)
+    return np.where((np.abs(x - rounded) < EXACT) & (np.abs(rounded) <= 1), rounded, x)
 
 
 def ancestors(tree: Tree, joint: int) -> tuple[int, ...]:
-    """Of a joint, the nearest first, without itself."""
+    """Return the joints that carry a joint, the nearest first."""
     out = []
     while (joint := tree.parent[joint]) >= 0:
         out.append(joint)
@@ -258,20 +258,20 @@ def subtrees(tree: Tree) -> list[tuple[int, ...]]:
     """Groups of joints that share no moving body, hence no inertia: each may be simulated and
     fitted by itself.
     """
-    if tree.whole is not None:
-        return _tied(tree.whole, tree.n)
+    if tree.all_joints is not None:
+        return _subtrees_of_all(tree.all_joints, tree.n)
     root: list[int] = []
     for i, p in enumerate(tree.parent):
         root.append(i if p < 0 else root[p])
     return [tuple(i for i in range(tree.n) if root[i] == r) for r in sorted(set(root))]
 
 
-def _tied(whole: Whole, n: int) -> list[tuple[int, ...]]:
+def _subtrees_of_all(all_joints: AllJoints, n: int) -> list[tuple[int, ...]]:
     """Groups of coordinates that share a moving body, or a follower's."""
     group = list(range(n))
-    for part in subtrees(whole.tree):
-        mine = {group[whole.leader[k]] for k in part}
-        group = [min(mine) if g in mine else g for g in group]
+    for part in subtrees(all_joints.tree):
+        shared = {group[all_joints.leader[k]] for k in part}
+        group = [min(shared) if g in shared else g for g in group]
     return [tuple(j for j in range(n) if group[j] == g) for g in sorted(set(group))]
 
 
@@ -279,44 +279,51 @@ def take(tree: Tree, indices: Sequence[int]) -> Tree:
     """The joints `indices`, in that order, as a tree of their own. Raises ValueError where a parent
     would be missing.
     """
-    new = {old: i for i, old in enumerate(indices)}
-    if len(new) != len(indices):
+    new_index = {old: i for i, old in enumerate(indices)}
+    if len(new_index) != len(indices):
         raise ValueError(f"indices {tuple(indices)} name a joint twice")
-    missing = sorted({tree.parent[i] for i in indices} - set(new) - {-1})
-    if missing:
+    missing_parents = sorted({tree.parent[i] for i in indices} - set(new_index) - {-1})
+    if missing_parents:
         raise ValueError(
-            f"joints {tuple(indices)} hang on {[tree.joint_names[i] for i in missing]}; take those "
-            "as well"
+            f"joints {tuple(indices)} hang on {[tree.joint_names[i] for i in missing_parents]}; "
+            "take those as well"
         )
-    if any(new.get(tree.parent[i], -1) > new[i] for i in indices):
+    if any(new_index.get(tree.parent[i], -1) > new_index[i] for i in indices):
         raise ValueError(f"indices {tuple(indices)} must name a joint after its parent")
     at = np.asarray(indices, int)
     meta = {name: tuple(getattr(tree, name)[i] for i in indices) for name in _OF_EACH}
-    meta["parent"] = tuple(new.get(p, -1) for p in meta["parent"])
-    whole = None if tree.whole is None else _taken(tree.whole, new)
+    meta["parent"] = tuple(new_index.get(p, -1) for p in meta["parent"])
+    all_joints = None if tree.all_joints is None else _take_all_joints(tree.all_joints, new_index)
     return replace(
-        tree, **meta, **{name: getattr(tree, name)[at] for name in _OF_JOINTS}, whole=whole
+        tree,
+        **meta,
+        **{name: getattr(tree, name)[at] for name in _OF_JOINTS},
+        all_joints=all_joints,
     )
 
 
-def _taken(whole: Whole, new: dict[int, int]) -> Whole | None:
-    """What of `whole` goes with the coordinates `new` (old number: new one); None where nothing
-    follows anything.
+def _take_all_joints(all_joints: AllJoints, new_index: dict[int, int]) -> AllJoints | None:
+    """What of `all_joints` goes with the coordinates `new_index` (old number: new one); None where
+    nothing follows anything.
     """
-    joints = [k for k, leader in enumerate(whole.leader) if leader in new]
-    if len(joints) == len(new):
+    joints = [k for k, leader in enumerate(all_joints.leader) if leader in new_index]
+    if len(joints) == len(new_index):
         return None
-    place = {k: i for i, k in enumerate(joints)}
-    own = {new[whole.leader[k]]: place[k] for k in joints if whole.own[whole.leader[k]] == k}
+    new_joint = {k: i for i, k in enumerate(joints)}
+    own = {
+        new_index[all_joints.leader[k]]: new_joint[k]
+        for k in joints
+        if all_joints.own[all_joints.leader[k]] == k
+    }
     at = np.asarray(joints, int)
-    factor, offset = np.asarray(whole.factor)[at], np.asarray(whole.offset)[at]
-    leader = tuple(new[whole.leader[k]] for k in joints)
-    leading = tuple(own[j] for j in range(len(new)))
-    return Whole(take(whole.tree, joints), leader, leading, factor, offset)
+    factor, offset = np.asarray(all_joints.factor)[at], np.asarray(all_joints.offset)[at]
+    leader = tuple(new_index[all_joints.leader[k]] for k in joints)
+    leading = tuple(own[j] for j in range(len(new_index)))
+    return AllJoints(take(all_joints.tree, joints), leader, leading, factor, offset)
 
 
-def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
-    """`tree` of m joints with those that follow others taken out of its coordinates.
+def eliminate_followers(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
+    """Remove the joints that follow others from the coordinates of a tree of m joints.
 
     Raises ValueError where a leader follows another.
 
@@ -333,35 +340,40 @@ def folded(tree: Tree, leader: Sequence[int], factor: Any, offset: Any) -> Tree:
     if len(own) == m:
         return tree
     number = {k: j for j, k in enumerate(own)}
-    goes = tuple(number[leader[k]] for k in range(m))
+    coordinate_of = tuple(number[leader[k]] for k in range(m))
     c, d = np.asarray(factor, float), np.asarray(offset, float)
 
-    together = [[k for k in range(m) if goes[k] == j] for j in range(len(own))]
+    joints_of_coordinate = [[k for k in range(m) if coordinate_of[k] == j] for j in range(len(own))]
 
-    def summed(x):
-        return np.stack([sum(x[k] for k in joints) for joints in together])
+    def sum_by_coordinate(x):
+        return np.stack([sum(x[k] for k in joints) for joints in joints_of_coordinate])
 
-    size, square = np.abs(c), c**2
-    powers = size[:, None] ** [3, 4]
+    abs_factor, squared_factor = np.abs(c), c**2
+    factor_powers = abs_factor[:, None] ** [3, 4]
     values = {
-        "damping": summed(square * tree.damping),
-        "armature": summed(square * tree.armature),
-        "frictionloss": summed(size * tree.frictionloss),
-        "stiffness": summed(square * tree.stiffness),
-        "damping_poly": summed(powers * tree.damping_poly),
-        "stiffness_poly": summed(powers * tree.stiffness_poly),
+        "damping": sum_by_coordinate(squared_factor * tree.damping),
+        "armature": sum_by_coordinate(squared_factor * tree.armature),
+        "frictionloss": sum_by_coordinate(abs_factor * tree.frictionloss),
+        "stiffness": sum_by_coordinate(squared_factor * tree.stiffness),
+        "damping_poly": sum_by_coordinate(factor_powers * tree.damping_poly),
+        "stiffness_poly": sum_by_coordinate(factor_powers * tree.stiffness_poly),
     }
-    pull = summed(c * tree.stiffness * (tree.springref - d))
-    stiff = values["stiffness"]
-    rest = pull / np.where(stiff > 0, stiff, 1.0)
-    values["springref"] = np.where(stiff > 0, rest, tree.springref[own])
+    spring_force = sum_by_coordinate(c * tree.stiffness * (tree.springref - d))
+    stiffness = values["stiffness"]
+    rest_position = spring_force / np.where(stiffness > 0, stiffness, 1.0)
+    values["springref"] = np.where(stiffness > 0, rest_position, tree.springref[own])
     meta = {name: tuple(getattr(tree, name)[k] for k in own) for name in _OF_EACH}
-    meta["parent"] = tuple(_parent(tree, k, goes, j) for j, k in enumerate(own))
-    rest = {name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values}
-    whole = Whole(tree, goes, tuple(own), c, d)
-    return replace(tree, **meta, **values, **rest, whole=whole)
+    meta["parent"] = tuple(_parent(tree, k, coordinate_of, j) for j, k in enumerate(own))
+    others = {
+        name: getattr(tree, name)[np.asarray(own)] for name in _OF_JOINTS if name not in values
+    }
+    all_joints = AllJoints(tree, coordinate_of, tuple(own), c, d)
+    return replace(tree, **meta, **values, **others, all_joints=all_joints)
 
 
-def _parent(tree: Tree, joint: int, goes: Sequence[int], coordinate: int) -> int:
+def _parent(tree: Tree, joint: int, coordinate_of: Sequence[int], coordinate: int) -> int:
     """The nearest coordinate before a joint that is not its own and has a smaller number."""
-    return next((goes[k] for k in ancestors(tree, joint) if goes[k] < coordinate), -1)
+    for k in ancestors(tree, joint):
+        if coordinate_of[k] < coordinate:
+            return coordinate_of[k]
+    return -1

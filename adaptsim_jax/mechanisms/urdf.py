@@ -77,10 +77,10 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
     joints = robot.findall("joint")
     for joint in joints:
         _check_joint(where, joint, links)
-    notes = _once(robot)
+    notes = _drop_duplicates(robot)
     mimics = _mimics(where, joints)
-    asked = robot.find("mujoco/compiler")
-    compiler = {} if asked is None else dict(asked.attrib)
+    compiler_element = robot.find("mujoco/compiler")
+    compiler = {} if compiler_element is None else dict(compiler_element.attrib)
     weightless = _inertias(where, links, joints, compiler, notes)
     notes += _placeholders(joints)
     for child in list(robot):
@@ -99,11 +99,11 @@ def urdf_for_mujoco(where: str, text: str) -> Urdf:
     return Urdf(ElementTree.tostring(robot, encoding="unicode"), mimics, weightless, tuple(notes))
 
 
-def _once(robot: Any) -> list[str]:
-    """Elements of which a link or joint may have one: of several the first counts, as in ROS' own
-    parser.
+def _drop_duplicates(robot: Any) -> list[str]:
+    """Remove elements that stand twice in a link or joint: the first counts, as in ROS' own parser.
+    Returns a note on each.
     """
-    lines = []
+    notes = []
     for owner in (*robot.findall("link"), *robot.findall("link/inertial"), *robot.findall("joint")):
         for tag in ("origin", "mass", "inertia", "inertial", "axis", "limit", "dynamics", "mimic"):
             for extra in owner.findall(tag)[1:]:
@@ -112,8 +112,8 @@ def _once(robot: Any) -> list[str]:
                     (k.get("name") for k in robot.findall("link") if k.find("inertial") is owner),
                     "",
                 )
-                lines.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
-    return lines
+                notes.append(f"<{tag}> stands twice in '{name}': the first counts, as in ROS")
+    return notes
 
 
 def _number(where: str, joint: str, element: Any, key: str, default: float) -> float:
@@ -167,28 +167,30 @@ def _check_joint(where: str, joint: Any, links: dict[str, Any]) -> None:
             )
 
 
-def _carrying(weighed: set[str], above: Callable[[str], str | None], most: int) -> set[str]:
-    """Bodies that weigh something, and those that carry one of them."""
-    carries = set()
-    for own in weighed:
-        link: str | None = own
-        for _ in range(most):
+def _carrying(
+    with_mass: set[str], carrier_of: Callable[[str], str | None], max_depth: int
+) -> set[str]:
+    """Return the bodies that weigh something, and those that carry one of them."""
+    carriers = set()
+    for body in with_mass:
+        link: str | None = body
+        for _ in range(max_depth):
             if link is None:
                 break
-            carries.add(link)
-            link = above(link)
-    return carries
+            carriers.add(link)
+            link = carrier_of(link)
+    return carriers
 
 
 def _bodies(
-    where: str, links: dict[str, Any], head: Callable[[str], str | None]
+    where: str, links: dict[str, Any], moving_link: Callable[[str], str | None]
 ) -> dict[str, list[str]]:
-    """Links by the one that moves them; those that stand still lose their inertia."""
+    """Group links by the one that moves them; those that stand still lose their inertia."""
     bodies: dict[str, list[str]] = {}
     for name, link in links.items():
-        own = head(name)
-        if own is not None:
-            bodies.setdefault(own, []).append(name)
+        mover = moving_link(name)
+        if mover is not None:
+            bodies.setdefault(mover, []).append(name)
             continue
         for inertial in link.findall("inertial"):
             link.remove(inertial)
@@ -204,16 +206,17 @@ def _bodies(
 def _inertias(
     where: str, links: dict[str, Any], joints: list, compiler: dict, notes: list[str]
 ) -> tuple[str, ...]:
-    """Links that are fixed to each other are one body. Of those that move, the links that weigh
-    nothing but carry something, and points without moments, get as little as MuJoCo reads. What
-    stands still needs nothing. Raises BadInput where the last of a chain weighs nothing, or moments
-    are negative.
+    """Give links without inertia that carry something, and points without moments, as little as
+    MuJoCo reads; return the former. Links that are fixed to each other are one body, and what
+    stands still needs nothing.
+
+    Raises BadInput where the last of a chain weighs nothing, or moments are negative.
     """
     parent = {
         j.find("child").get("link"): (j.find("parent").get("link"), j.get("type")) for j in joints
     }
 
-    def head(link: str) -> str | None:
+    def moving_link(link: str) -> str | None:
         """The link of a body that moves; None where it stands still."""
         for _ in range(len(links) + 1):
             if link not in parent:
@@ -224,68 +227,72 @@ def _inertias(
             link = up
         return None
 
-    bodies = _bodies(where, links, head)
-    weighed = {own for own, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
-    carries = _carrying(weighed, lambda link: head(parent[link][0]), len(links))
-    if bare := [own for own in bodies if own not in carries]:
+    bodies = _bodies(where, links, moving_link)
+    with_mass = {body for body, names in bodies.items() if any(_mass(links[n]) > 0 for n in names)}
+    carriers = _carrying(with_mass, lambda link: moving_link(parent[link][0]), len(links))
+    if massless_ends := [body for body in bodies if body not in carriers]:
         raise BadInput(
-            f"{where}: no mass for link{'s' if len(bare) > 1 else ''} {', '.join(bare)}, nor for "
-            "what it carries; give each that moves an <inertial> with mass and inertia"
+            f"{where}: no mass for link{'s' if len(massless_ends) > 1 else ''} "
+            f"{', '.join(massless_ends)}, nor for what it carries; give each that moves an "
+            "<inertial> with mass and inertia"
         )
-    outliers = [
+    unphysical_links = [
         name
-        for own in bodies
-        if own in weighed
-        for name in _point(where, links, bodies[own], compiler)
+        for body in bodies
+        if body in with_mass
+        for name in _complete_moments(where, links, bodies[body], compiler)
     ]
-    if outliers:
+    if unphysical_links:
         compiler["balanceinertia"] = "true"
         notes.append(
             "moments of inertia that no body can have (the largest is more than the other two "
-            f"together), balanced as MuJoCo does: {', '.join(outliers)}"
+            f"together), balanced as MuJoCo does: {', '.join(unphysical_links)}"
         )
-    out = [own for own in bodies if own not in weighed]
-    for own in out:
-        for inertial in links[own].findall("inertial"):
-            links[own].remove(inertial)
-        links[own].append(_inertial(MIN_INERTIA, MIN_INERTIA))
-    return tuple(out)
+    massless = [body for body in bodies if body not in with_mass]
+    for body in massless:
+        for inertial in links[body].findall("inertial"):
+            links[body].remove(inertial)
+        links[body].append(_inertial(MIN_INERTIA, MIN_INERTIA))
+    return tuple(massless)
 
 
-def _point(where: str, links: dict[str, Any], names: list[str], compiler: dict) -> list[str]:
-    """Masses without moments, as points; negative moments are named. Returns the links whose
-    moments no body can have.
+def _complete_moments(
+    where: str, links: dict[str, Any], names: list[str], compiler: dict
+) -> list[str]:
+    """Make masses without moments points, and return the links whose moments no body can have.
+
+    Raises BadInput where moments are negative.
     """
-    outliers = []
+    unphysical_links = []
     for name in names:
         inertial, inertia = links[name].find("inertial"), links[name].find("inertial/inertia")
         if _mass(links[name]) <= 0.0:
-            for weightless in links[name].findall("inertial"):
-                links[name].remove(weightless)
+            for massless_inertial in links[name].findall("inertial"):
+                links[name].remove(massless_inertial)
             continue
-        given = {k: 0.0 if inertia is None else _number(where, name, inertia, k, 0.0) for k in SIX}
+        values = {k: 0.0 if inertia is None else _number(where, name, inertia, k, 0.0) for k in SIX}
         if inertia is None:
             inertia = ElementTree.SubElement(inertial, "inertia")
         for k in SIX:
-            line = k[1] == k[2] and not any(
-                given[other] for other in SIX if k[1] in other[1:]
+            is_degenerate = k[1] == k[2] and not any(
+                values[other] for other in SIX if k[1] in other[1:]
             )  # a point, or along a rod
-            inertia.set(k, f"{MIN_INERTIA:g}" if line else repr(given[k]))
-        xx, xy, xz, yy, yz, zz = (given[k] for k in SIX)
+            inertia.set(k, f"{MIN_INERTIA:g}" if is_degenerate else repr(values[k]))
+        xx, xy, xz, yy, yz, zz = (values[k] for k in SIX)
         moments = np.linalg.eigvalsh([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         if compiler.get("balanceinertia") == "true":
             continue
         if moments[0] < -TINY * abs(moments[2]):
-            bad = [f"{k} = {given[k]:g}" for k in ("ixx", "iyy", "izz") if given[k] < 0.0]
-            if not bad:
-                bad = [f"{moments[0]:.3g} about a main axis"]
+            negative = [f"{k} = {values[k]:g}" for k in ("ixx", "iyy", "izz") if values[k] < 0.0]
+            if not negative:
+                negative = [f"{moments[0]:.3g} about a main axis"]
             raise BadInput(
-                f"{where}: link '{name}' has negative moments of inertia ({', '.join(bad)}); mend "
-                "their sign"
+                f"{where}: link '{name}' has negative moments of inertia ({', '.join(negative)}); "
+                "mend their sign"
             )
         if moments[0] + moments[1] < moments[2] * (1.0 - TINY):
-            outliers.append(name)
-    return outliers
+            unphysical_links.append(name)
+    return unphysical_links
 
 
 def _inertial(mass: float, moment: float) -> Any:
@@ -306,10 +313,10 @@ def _mass(link: Any) -> float:
 
 
 def _placeholders(joints: list) -> list[str]:
-    """Friction as large as the effort limit holds a joint for ever: a number that was put in for
-    want of one.
+    """Return a note on each joint whose friction is as large as its effort limit, so that it never
+    moves: a number that was put in for want of one.
     """
-    lines = []
+    notes = []
     for joint in joints:
         limit, dynamics = joint.find("limit"), joint.find("dynamics")
         try:
@@ -321,11 +328,11 @@ def _placeholders(joints: list) -> list[str]:
         except ValueError:
             continue
         if friction > 0.0 and friction >= effort > 0.0:
-            lines.append(
+            notes.append(
                 f"joint '{joint.get('name')}' declares friction of {friction:g}, as much as its "
                 "effort limit: it could not move; put in a measured friction, or 0"
             )
-    return lines
+    return notes
 
 
 def _free_world(links: dict[str, Any], joints: list) -> None:

@@ -84,13 +84,13 @@ def edited(path: str | os.PathLike, edit: Callable[[mujoco.MjSpec], Sequence[str
     Raises BadInput where MuJoCo refuses the result.
     """
     spec, _ = read_spec(path)
-    _anywhere(spec, Path(path).resolve().parent)
+    _with_whole_folders(spec, Path(path).resolve().parent)
     comments = edit(spec)
     compiled(str(path), spec)
     return commented(spec.to_xml(), comments)
 
 
-def _anywhere(spec: mujoco.MjSpec, folder: Path) -> None:
+def _with_whole_folders(spec: mujoco.MjSpec, folder: Path) -> None:
     """Name the folders of meshes and textures whole, so that the text compiles wherever it lies."""
     if spec.meshes or spec.hfields or spec.skins:
         spec.meshdir = str(folder / spec.meshdir)
@@ -130,8 +130,8 @@ def _put_actuators(spec: mujoco.MjSpec, changes: Changes) -> None:
 
 def _put_joint(spec: mujoco.MjSpec, mechanism: Mechanism, joint, key: str, value: float) -> None:
     tree = mechanism.tree
-    turns = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
-    angle = float(np.rad2deg(value)) if turns else value
+    is_in_degrees = joint.type == mujoco.mjtJoint.mjJNT_HINGE and spec.compiler.degree
+    angle = float(np.rad2deg(value)) if is_in_degrees else value
     if key == "springref":
         put_field(joint, key, angle)
     elif key == "ref":  # all that is told by the encoder goes along
@@ -141,9 +141,9 @@ def _put_joint(spec: mujoco.MjSpec, mechanism: Mechanism, joint, key: str, value
         joint.damping[1] = value
     elif joint.name in tree.joint_names:
         # what followers, tendons and actuators add stays with them
-        own = np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
-        more, now = value - float(own), float(np.ravel(getattr(joint, key))[0])
-        put_field(joint, key, value if more + now == value else max(0.0, now + more))
+        file_value = np.asarray(getattr(tree, key))[tree.joint_names.index(joint.name)]
+        change, current = value - float(file_value), float(np.ravel(getattr(joint, key))[0])
+        put_field(joint, key, value if change + current == value else max(0.0, current + change))
 
 
 def _put_stop(spec: mujoco.MjSpec, joint: str, stiffness: float, angle: float, side: float) -> None:
@@ -227,19 +227,19 @@ def _put_inertias(spec, mechanism: Mechanism, inertial: np.ndarray) -> None:
         if tree.massless[j] or np.allclose(inertial[j], tree.inertial[j], rtol=0, atol=0):
             continue
         carried = {b for b, joint in frames.carrier.items() if joint == j and b != name}
-        others = [b for b in spec.bodies if b.name in carried and b.name not in held_bodies]
-        held = [held_bodies[b] for b in held_bodies if b in carried]
-        left = inertial[j] - sum(held, np.zeros(10))
-        if not _possible(left):
+        welded = [b for b in spec.bodies if b.name in carried and b.name not in held_bodies]
+        held_inertias = [held_bodies[b] for b in held_bodies if b in carried]
+        remaining = inertial[j] - sum(held_inertias, np.zeros(10))
+        if not _is_possible(remaining):
             continue
-        for other in others:  # welded bodies become part of the one that moves them
+        for other in welded:  # welded bodies become part of the one that moves them
             other.explicitinertial = True
             other.mass, other.inertia, other.fullinertia = 0.0, [0.0] * 3, [np.nan, 0, 0, 0, 0, 0]
             for geom in other.geoms:
                 geom.mass, geom.density = 0.0, 0.0
         body = next(b for b in spec.bodies if b.name == name)
         mass, com, about = central(
-            in_frame(left, inverse((frames.place[name], frames.rotation[name])))
+            in_frame(remaining, inverse((frames.place[name], frames.rotation[name])))
         )
         value, vector = np.linalg.eigh(0.5 * (about + about.T))
         value = np.maximum(value, MIN_MOMENT)
@@ -264,9 +264,9 @@ def _held_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
     out = {}
     for b in range(1, model.nbody):
         name, up = model.body(b).name, model.body(int(model.body_parentid[b])).name
-        joints = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
-        own = [model.joint(k).name for k in joints]
-        if any(k not in held for k in own) or not (own or up in behind):
+        joint_numbers = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        joints_of_body = [model.joint(k).name for k in joint_numbers]
+        if any(k not in held for k in joints_of_body) or not (joints_of_body or up in behind):
             continue
         behind.add(name)
         place, turn = frames.place[name], frames.rotation[name]
@@ -276,7 +276,7 @@ def _held_bodies(mechanism: Mechanism) -> dict[str, np.ndarray]:
     return out
 
 
-def _possible(inertial: np.ndarray) -> bool:
+def _is_possible(inertial: np.ndarray) -> bool:
     """Whether a body may have such inertial parameters."""
     if inertial[0] <= 0.0:
         return False

@@ -142,8 +142,8 @@ def write_randomisation(folder: str | Path) -> None:
     form = read_form(table, str(files[1]), tuple(table))
     report = json.loads(files[0].read_text(encoding="utf-8"))
     model = mujoco.MjModel.from_xml_path(str(files[2]))
-    found = randomisation_of(report, form, _declared(model), _servos(model))
-    write_bytes(folder / FILE, found.text().encode())
+    randomisation = randomisation_of(report, form, _declared(model), _servos(model))
+    write_bytes(folder / FILE, randomisation.text().encode())
 
 
 def _declared(model: mujoco.MjModel) -> dict[str, tuple[float, str]]:
@@ -164,15 +164,15 @@ def _declared(model: mujoco.MjModel) -> dict[str, tuple[float, str]]:
 
 
 def _servos(model: mujoco.MjModel) -> dict[str, tuple[str, float]]:
-    """By joint the actuator at it and the square of its gear."""
-    some = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+    """Return by joint the actuator at it and the square of its gear."""
+    joint_transmissions = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return {
         model.joint(model.actuator_trnid[k, 0]).name: (
             model.actuator(k).name,
             float(model.actuator_gear[k, 0] ** 2),
         )
         for k in range(model.nu)
-        if int(model.actuator_trntype[k]) in some
+        if int(model.actuator_trntype[k]) in joint_transmissions
     }
 
 
@@ -189,14 +189,16 @@ def randomisation_of(
         declared: Numbers of the model file by the names of fields, with units.
         servos: By joint the actuator at it and the square of its gear.
     """
-    known = dict(intervals(report))
+    interval_of = dict(intervals(report))
     rows: dict[str, Randomised] = {}
     for effect in form.effects:
         for parameter, number in effect.parameters.items():
             name = _field(effect.name, effect.where, parameter)
             if name is None:
                 continue
-            ends, unit = known.get((effect.name, effect.where, parameter), (None, number.unit))
+            ends, unit = interval_of.get(
+                (effect.name, effect.where, parameter), (None, number.unit)
+            )
             if ends is None and number.low is not None and number.high is not None:
                 ends = number.low, number.high
             words = f"{effect.name.replace('_', ' ')} at {effect.where}"
@@ -205,9 +207,9 @@ def randomisation_of(
         if joint in servos and numbers.get("kp"):
             actuator, square = servos[joint]
             name, kp = f"actuator:{actuator}.gain", numbers["kp"]
-            ends, _ = known.get(("kp", joint, "kp"), (None, ""))
-            scaled = None if ends is None else (ends[0] / square, ends[1] / square)
-            row = _row(name, kp / square, scaled, "N m/rad", f"kp of {joint}", widths.found)
+            ends, _ = interval_of.get(("kp", joint, "kp"), (None, ""))
+            gain_ends = None if ends is None else (ends[0] / square, ends[1] / square)
+            row = _row(name, kp / square, gain_ends, "N m/rad", f"kp of {joint}", widths.found)
             rows[name] = row
     for name, (value, unit) in declared.items():
         share = getattr(widths, name.rpartition(".")[2], None)
@@ -215,7 +217,7 @@ def randomisation_of(
             low, high = sorted((value * (1.0 - share), value * (1.0 + share)))
             why = f"these data do not fix it: the file's value, by {share:.0%} either way"
             rows[name] = Randomised(name, value, low, high, unit, "file", why)
-    names, matrix = _correlated(report, servos)
+    names, matrix = _correlations(report, servos)
     return Randomisation(tuple(rows.values()), names, matrix)
 
 
@@ -262,18 +264,20 @@ def _ends(number: Mapping[str, Any]) -> tuple[float, float] | None:
     return float(low), float(high)
 
 
-def _correlated(report, servos) -> tuple[tuple[str, ...], tuple]:
+def _correlations(report, servos) -> tuple[tuple[str, ...], tuple]:
     """Correlations that a report's intervals tell: of stiffness and damping of servos, whose
     quotient has an interval of its own.
     """
     pairs = []
     for row in report["effects"]:
         numbers = row["parameters"]
-        each = [_relative(numbers.get(n, {})) for n in ("kp", "damping", "damping_over_kp")]
+        relative_widths = [
+            _relative(numbers.get(n, {})) for n in ("kp", "damping", "damping_over_kp")
+        ]
         joint = row["where"]
-        if joint not in servos or not all(each):
+        if joint not in servos or not all(relative_widths):
             continue
-        kp, damping, quotient = (z for z in each if z)
+        kp, damping, quotient = (z for z in relative_widths if z)
         r = (kp**2 + damping**2 - quotient**2) / (2.0 * kp * damping)
         pairs.append((joint, max(-1.0, min(1.0, r))))
     names = [n for j, _ in pairs for n in (f"actuator:{servos[j][0]}.gain", f"joint:{j}.damping")]

@@ -25,18 +25,18 @@ def urdf_parts(model: mujoco.MjModel) -> dict[str, list[dict[str, Any]]]:
     shift = {0: np.zeros(3)}  # of a body's link in the body's frame
     for b in range(1, model.nbody):
         name, parent = model.body(b).name, int(model.body_parentid[b])
-        own = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
+        joint_numbers = range(model.body_jntadr[b], model.body_jntadr[b] + model.body_jntnum[b])
         at, turn = model.body_pos[b] - shift[parent], rotation_of(model.body_quat[b])
         above, last = model.body(parent).name, np.zeros(3)
-        for j in own:
+        for j in joint_numbers:
             place = model.jnt_pos[j]
-            link = name if j == own[-1] else f"{name}_{model.joint(j).name}"
+            link = name if j == joint_numbers[-1] else f"{name}_{model.joint(j).name}"
             row = {"parent": above, "child": link, "at": at + turn @ (place - last)}
             joints.append(row | {"turn": _angles(turn)} | _joint(model, j))
             if link != name:
                 links.append({"name": link, "mass": 0.0})
             above, at, turn, last = link, np.zeros(3), np.eye(3), place
-        if not len(own):
+        if not len(joint_numbers):
             row = {"name": f"{name}_fixed", "type": "fixed", "parent": above, "child": name}
             joints.append(row | {"at": at, "turn": _angles(turn)})
         shift[b] = last
@@ -68,13 +68,13 @@ def _joint(model: mujoco.MjModel, j: int) -> dict[str, Any]:
 
 def _effort(model: mujoco.MjModel, j: int) -> float:
     """N m that the drives of a joint give at most."""
-    most = [OPEN]
+    limits = [OPEN]
     if model.jnt_actfrclimited[j]:
-        most.append(np.abs(model.jnt_actfrcrange[j]).max())
+        limits.append(np.abs(model.jnt_actfrcrange[j]).max())
     for k in range(model.nu):
         if model.actuator_trnid[k, 0] == j and model.actuator_forcelimited[k]:
-            most.append(np.abs(model.actuator_forcerange[k] * model.actuator_gear[k, 0]).max())
-    return float(min(most))
+            limits.append(np.abs(model.actuator_forcerange[k] * model.actuator_gear[k, 0]).max())
+    return float(min(limits))
 
 
 def _angles(turn: np.ndarray) -> np.ndarray:

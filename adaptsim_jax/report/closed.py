@@ -6,78 +6,84 @@ from adaptsim_jax.report.explore import filled
 from adaptsim_jax.report.figures import distinct, label
 
 
-def cells(found: Mapping) -> list[tuple[str, str, list[tuple[str, str]]]]:
-    """By target and method `(simulator, return)`: mean over seeds, with the range of them."""
-    rows = found["rows"]
+def cells(results: Mapping) -> list[tuple[str, str, list[tuple[str, str]]]]:
+    """Collect by target and method `(simulator, return)`: mean over seeds, with the range of
+    them.
+    """
+    rows = results["rows"]
     out = []
     for target in distinct(rows, "target"):
         for method in distinct(rows, "method"):
-            some = [r for r in rows if r["target"] == target and r["method"] == method]
-            out.append((target, label(method), [(r["simulator"], _written(r)) for r in some]))
+            matching = [r for r in rows if r["target"] == target and r["method"] == method]
+            out.append(
+                (target, label(method), [(r["simulator"], _return_text(r)) for r in matching])
+            )
     return out
 
 
-def _written(row: Mapping) -> str:
+def _return_text(row: Mapping) -> str:
     low, high = min(row["returns"]), max(row["returns"])
     if len(row["returns"]) == 1:
         return f"{row['mean']:.4g}"
     return f"{row['mean']:.4g} ({low:.4g} to {high:.4g})"
 
 
-def verdicts(found: Mapping) -> list[str]:
+def verdicts(results: Mapping) -> list[str]:
     """A sentence by target and method: which simulator's policy returns more, and whether the
     ranges of seeds are apart.
     """
     out = []
-    for target in distinct(found["rows"], "target"):
-        for method in distinct(found["rows"], "method"):
-            both = {
+    for target in distinct(results["rows"], "target"):
+        for method in distinct(results["rows"], "method"):
+            by_simulator = {
                 r["simulator"]: r
-                for r in found["rows"]
+                for r in results["rows"]
                 if (r["target"], r["method"]) == (target, method)
             }
-            if found["found"] and len(both) == 2:
-                out.append(f"{target}, {label(method)}: {_compared(**both)}.")
+            if results["found"] and len(by_simulator) == 2:
+                out.append(f"{target}, {label(method)}: {_comparison(**by_simulator)}.")
     return out
 
 
-def _compared(declared: Mapping, mended: Mapping) -> str:
-    more = mended["mean"] - declared["mean"]
-    low, high = (mended, declared) if more < 0.0 else (declared, mended)
+def _comparison(declared: Mapping, mended: Mapping) -> str:
+    gain = mended["mean"] - declared["mean"]
+    low, high = (mended, declared) if gain < 0.0 else (declared, mended)
     if len(low["returns"]) == 1:
-        sure = "one seed cannot tell this from luck"
+        confidence = "one seed cannot tell this from luck"
     elif max(low["returns"]) < min(high["returns"]):
-        sure = "in every seed"
+        confidence = "in every seed"
     else:
-        sure = "the seeds' ranges overlap"
-    word = "more" if more > 0.0 else "LESS"
-    return f"the mended simulator's policy returns {abs(more):.3g} {word} ({sure})"
+        confidence = "the seeds' ranges overlap"
+    word = "more" if gain > 0.0 else "LESS"
+    return f"the mended simulator's policy returns {abs(gain):.3g} {word} ({confidence})"
 
 
-def named(found: Mapping) -> str:
+def named(results: Mapping) -> str:
     """What the diagnosis named, and where."""
-    return "; ".join(f"{e['physics']}, at {e['where']}" for e in found["diagnosis"]["effects"])
+    return "; ".join(f"{e['physics']}, at {e['where']}" for e in results["diagnosis"]["effects"])
 
 
-def table(found: Mapping) -> str:
+def table(results: Mapping) -> str:
     """For a terminal: what was found, then a line for each target, method and simulator."""
-    lines = [named(found) or found["diagnosis"]["message"], ""]
-    lines.append(f"returns after at most {found['trials']} target trials, mean over seeds (range):")
-    for target, method, each in cells(found):
-        shown = ", ".join(f"{simulator} {value}" for simulator, value in each)
+    lines = [named(results) or results["diagnosis"]["message"], ""]
+    lines.append(
+        f"returns after at most {results['trials']} target trials, mean over seeds (range):"
+    )
+    for target, method, values in cells(results):
+        shown = ", ".join(f"{simulator} {value}" for simulator, value in values)
         lines.append(f"  {target}, {method}: {shown}")
-    lines += verdicts(found)
-    if not found["found"]:
+    lines += verdicts(results)
+    if not results["found"]:
         lines.append("Nothing was found, so that both simulators are one.")
     return "\n".join(lines)
 
 
-def page(found: Mapping) -> str:
+def page(results: Mapping) -> str:
     """The page as text."""
     return filled(
         "closed.html.j2",
-        found=found,
-        cells=cells(found),
-        named=named(found),
-        verdicts=verdicts(found),
+        found=results,
+        cells=cells(results),
+        named=named(results),
+        verdicts=verdicts(results),
     )

@@ -52,12 +52,12 @@ def reward_map(chart: Any, target: Sequence[float], rows: Sequence[Mapping]) -> 
     """The paper's figure 5: the best policy's parameters of each seed on the map of what could be
     earned.
     """
-    found = {
+    params_of = {
         row["method"]: np.array(row["best_params"])[:, :2]
         for row in rows
         if row["method"] in CURVES
     }
-    figure = draw.parameter_map(chart, target, found)
+    figure = draw.parameter_map(chart, target, params_of)
     figure.set_size_inches(4.6, 3.9)
     return figure
 
@@ -120,31 +120,31 @@ def render(tour: Any, pictures: Mapping[str, str], out: Path) -> str:
     )
 
 
-def contact_words(found: Any, out: Path) -> Table:
+def contact_words(contact: Any, out: Path) -> Table:
     """The push or the scoop: rewards before and after, trials spent, target and what was found, and
     the film's place.
     """
-    params, target = found.found["best"]["params"], found.found["target"]["params"]
+    params, target = contact.found["best"]["params"], contact.found["target"]["params"]
     return {
-        "setting": look.setting(found.found["target"]["name"]),
-        "before": _reward(found.before),
-        "after": _reward(found.after),
-        "better": found.after > found.before,
-        "trials": found.trials,
-        "learned": f"{found.learned:,}",
-        "start": found.start + 1,
+        "setting": look.setting(contact.found["target"]["name"]),
+        "before": _reward(contact.before),
+        "after": _reward(contact.after),
+        "better": contact.after > contact.before,
+        "trials": contact.trials,
+        "learned": f"{contact.learned:,}",
+        "start": contact.start + 1,
         "parameters": [(name, f"{target[name]:.3g}", f"{params[name]:.3g}") for name in params],
-        "ends": found.ends,
-        "film": None if found.film is None else str(found.film.relative_to(out)),
+        "ends": contact.ends,
+        "film": None if contact.film is None else str(contact.film.relative_to(out)),
     }
 
 
 def parameter_rows(tour: Any) -> list[Table]:
     """Omega, the target, and what the first run's best policy was trained at."""
-    one = tour.adapted[0]
-    space = one.trained.phase1.task.space
+    first_run = tour.adapted[0]
+    space = first_run.trained.phase1.task.space
     target = tour.results["settings"][setting_of(tour)]["params"]
-    found = np.asarray(space.physical(one.result.mean))
+    physical = np.asarray(space.physical(first_run.result.mean))
     return [
         {
             "name": p.name,
@@ -152,7 +152,7 @@ def parameter_rows(tour: Any) -> list[Table]:
             "range": f"{p.low:g} to {p.high:g} {fmt.unit_name(p.unit)}",
             "target": f"{target[i]:g}",
             "outside": not p.low <= target[i] <= p.high,
-            "found": f"{found[i]:.2f}",
+            "found": f"{physical[i]:.2f}",
         }
         for i, p in enumerate(space.parameters)
     ]
@@ -202,28 +202,29 @@ def diagnosis_words(report: Mapping) -> Table:
 def summary(tour: Any, out: Path) -> list[tuple[str, str]]:
     """`(what, words)` for the terminal: results first, then where things lie."""
     rows = {row["method"]: row for row in tour.results["rows"]}
-    observed = diagnosis_words(tour.diagnosis)
-    if observed["after"] is None:
-        error = observed["before"]
+    texts = diagnosis_words(tour.diagnosis)
+    if texts["after"] is None:
+        error = texts["before"]
     else:
-        error = f"{observed['before']} -> {observed['after']}"
-    reported = [
+        error = f"{texts['before']} -> {texts['after']}"
+    rewards = [
         f"{look.label(name)} {_reward(rows[name]['mean'])}" for name in CURVES if name in rows
     ]
 
-    def changed(found):
+    def changed(contact):
         return (
-            f"reward {_reward(found.before)} before adaptation, {_reward(found.after)} after, of 1"
+            f"reward {_reward(contact.before)} before adaptation, "
+            f"{_reward(contact.after)} after, of 1"
         )
 
     return [
         (
             f"pendulum in {look.SETTINGS[setting_of(tour)]}",
-            f"reward {', '.join(reported)} (0: UDR, 1: best in Omega)",
+            f"reward {', '.join(rewards)} (0: UDR, 1: best in Omega)",
         ),
         ("push", changed(tour.push)),
         ("scoop", changed(tour.scoop)),
-        ("diagnosed", f"{observed['headline']} Error on left-out trials {error}"),
+        ("diagnosed", f"{texts['headline']} Error on left-out trials {error}"),
         ("all on one page", str(out / "index.html")),
         ("trained runs", str(out / "runs")),
         ("diagnosis", str(out / "diagnosis" / "report.html")),

@@ -44,16 +44,18 @@ def held_out(trials: Sequence[Mapping], error: Mapping) -> tuple[str, int]:
     ):  # what a reader looks for comes first: where the declared model is furthest off
         channels.sort(key=lambda c: -((error["per_channel"].get(c) or {}).get("before") or 0.0))
     models = 2 if trials[0].get("after") is None else 3
-    most, shown_trials = points(
+    max_points, shown_trials = points(
         [len(trial["time"]) for trial in trials], 1 + models * len(channels)
     )
     columns, views = SharedColumns(), {}
     for i, trial in enumerate(trials[:shown_trials]):
-        time = columns.add(thin(trial["time"], most=most)[0])
+        time = columns.add(thin(trial["time"], most=max_points)[0])
         for j, channel in enumerate(channels):
             if channel in trial["measured"]:
-                drawn = _residual(trial, channel, columns, time, most)
-                views[i, j] = View([drawn], _note(trial, channel, error, len(trial["time"]), most))
+                drawn = _residual(trial, channel, columns, time, max_points)
+                views[i, j] = View(
+                    [drawn], _note(trial, channel, error, len(trial["time"]), max_points)
+                )
     choices = {
         "trial": [str(trial["trial"]) for trial in trials[:shown_trials]],
         _kind(channels): channels,
@@ -73,29 +75,35 @@ def _kind(channels: Sequence[str]) -> str:
     return "joint"
 
 
-def _residual(trial: Mapping, channel: str, columns: SharedColumns, time: str, most: int) -> Table:
+def _residual(
+    trial: Mapping, channel: str, columns: SharedColumns, time: str, max_points: int
+) -> Table:
     stages = [stage for stage in ("before", "after") if channel in (trial.get(stage) or {})]
     measured, *simulated = thin(
-        trial["measured"][channel], *[trial[s][channel] for s in stages], most=most
+        trial["measured"][channel], *[trial[s][channel] for s in stages], most=max_points
     )
-    left = [measured - values for values in simulated]
+    residuals = [measured - values for values in simulated]
     unit = (
         (trial.get("units") or {}).get(channel)
         or trial.get("unit")
         or figures.channel_unit(channel)
     )
-    factor, name = fmt.scaled(unit, max((figures.percentile(rest) for rest in left), default=0.0))
-    sizes = [size for rest in left if (size := figures.percentile(rest)) > 0]
+    factor, name = fmt.scaled(
+        unit, max((figures.percentile(residual) for residual in residuals), default=0.0)
+    )
+    sizes = [size for residual in residuals if (size := figures.percentile(residual)) > 0]
     step = max(min(sizes, default=0.0) / 300, figures.percentile(measured) / 1e7) or None
-    observed = columns.add(measured, step)
+    measured_column = columns.add(measured, step)
     hover = {"hovertemplate": f"%{{y:.5~g}} {fmt.unit_name(unit)}"}
-    data: list[Table] = [_line(time, observed, "measured", 5, opacity=0.6, **hover)]
+    data: list[Table] = [_line(time, measured_column, "measured", 5, opacity=0.6, **hover)]
     for stage, values in zip(stages, simulated, strict=True):
-        drawn = columns.add(values, step)
-        data.append(_line(time, drawn, stage, 1.6, legendgroup=stage, **hover))
-        below = {"yaxis": "y2", "showlegend": False, "legendgroup": stage}
-        rest = {"minus": [observed, drawn], "times": factor}
-        trace = _line(time, rest, stage, 1.4, hovertemplate=f"%{{y:.4~g}} {name}", **below)
+        simulated_column = columns.add(values, step)
+        data.append(_line(time, simulated_column, stage, 1.6, legendgroup=stage, **hover))
+        lower_style = {"yaxis": "y2", "showlegend": False, "legendgroup": stage}
+        residual = {"minus": [measured_column, simulated_column], "times": factor}
+        trace = _line(
+            time, residual, stage, 1.4, hovertemplate=f"%{{y:.4~g}} {name}", **lower_style
+        )
         data.append(trace | {"name": f"{NAMES[stage]}: error"})
     lower = {"domain": [0.0, 0.34], "nticks": 4, "zeroline": True}
     return figure(
@@ -117,12 +125,14 @@ def _named(name: str, unit: str) -> str:
     return shown(f"{plain(name)}, {unit}" if unit else plain(name))
 
 
-def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int) -> str:
+def _note(trial: Mapping, channel: str, error: Mapping, samples: int, max_points: int) -> str:
     """This trial's own error in the channel, as the report has it, and whether samples are passed
     over.
     """
-    own = next((row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {})
-    pair = (own.get("per_channel") or {}).get(channel) or {}
+    trial_row = next(
+        (row for row in error["per_trial"] if str(row["trial"]) == str(trial["trial"])), {}
+    )
+    pair = (trial_row.get("per_channel") or {}).get(channel) or {}
     unit = (error["per_channel"].get(channel) or {}).get("unit") or figures.channel_unit(channel)
 
     def size_of(value, like):
@@ -134,28 +144,32 @@ def _note(trial: Mapping, channel: str, error: Mapping, samples: int, most: int)
         parts.append(f"error: declared {size_of(pair['before'], size)}")
         if pair.get("after") is not None and trial.get("after") is not None:
             parts.append(f"mended {size_of(pair['after'], size)}")
-    stride = -(-samples // most)
+    stride = -(-samples // max_points)
     if stride > 1:
         parts.append(f"one in {stride} of {samples:,} samples is drawn")
     return ", ".join(parts)
 
 
-def tracks(found: Mapping) -> str:
+def tracks(track_table: Mapping) -> str:
     """Tracks of all trials seen from above (or the plane of their `axes`), measured and simulated,
     each to its end.
     """
-    x, y = found.get("axes") or ("x", "y")
-    all_of = {key: [np.asarray(t, float) for t in found.get(key) or []] for key in COLOURS}
-    most, shown_trials = points(
-        [max(map(len, some)) for some in zip(*filter(None, all_of.values()), strict=False)], 6
+    x, y = track_table.get("axes") or ("x", "y")
+    all_of = {key: [np.asarray(t, float) for t in track_table.get(key) or []] for key in COLOURS}
+    max_points, shown_trials = points(
+        [
+            max(map(len, own_tracks))
+            for own_tracks in zip(*filter(None, all_of.values()), strict=False)
+        ],
+        6,
     )
     columns, data = SharedColumns(), []
-    for key, some in all_of.items():
-        if not some:
+    for key, own_tracks in all_of.items():
+        if not own_tracks:
             continue
-        drawn = some[:shown_trials]
+        drawn = own_tracks[:shown_trials]
         gap = [[np.nan, np.nan]]
-        rows = [np.vstack([np.stack(thin(*t.T, most=most), 1), gap]) for t in drawn]
+        rows = [np.vstack([np.stack(thin(*t.T, most=max_points), 1), gap]) for t in drawn]
         path, ends = np.vstack(rows), np.array([t[-1] for t in drawn])
         width, opacity = (5, 0.6) if key == "measured" else (1.4, 0.95)
         step = float(np.nanmax(np.ptp(ends, axis=0), initial=0.0)) / 1e4 or None

@@ -71,7 +71,7 @@ def themed(svg: str, label: str) -> str:
     # of places, not of what is written
     svg = re.sub(
         r"-?\d+\.\d{3,}(?!\d*</text>)",
-        lambda found: f"{float(found.group()):.2f}".rstrip("0").rstrip("."),
+        lambda match: f"{float(match.group()):.2f}".rstrip("0").rstrip("."),
         svg,
     )
     svg = re.sub(r"font: (?:normal )?([\d.]+px) [^;\"]*", r"font-size: \1", svg)
@@ -89,11 +89,11 @@ def thin(*columns: np.ndarray, most: int = 700) -> list[np.ndarray]:
     stride = max(1, -(-len(arrays[0]) // most))  # rounded up
     if stride == 1:
         return arrays
-    taken = []
+    thinned = []
     for column in arrays:
-        whole = column[: len(column) // stride * stride].reshape(-1, stride)
-        taken.append(np.where(np.isnan(whole).any(axis=1), np.nan, whole[:, 0]))
-    return taken
+        blocks = column[: len(column) // stride * stride].reshape(-1, stride)
+        thinned.append(np.where(np.isnan(blocks).any(axis=1), np.nan, blocks[:, 0]))
+    return thinned
 
 
 # ---------------------------------------------------------------- errors
@@ -163,7 +163,7 @@ def error_pair(
 
 
 def view_side(tracks: Mapping) -> str:
-    """Where tracks are looked at from, by their `axes`."""
+    """Say where tracks are looked at from, by their `axes`."""
     if "z" in (tracks.get("axes") or ()):
         return "the side"
     return "above"
@@ -216,14 +216,14 @@ def friction_figures(evidence: Mapping) -> list[str]:
     ]
 
 
-def _some(count: int) -> np.ndarray:
+def _drawn_rows(count: int) -> np.ndarray:
     return np.unique(np.linspace(0, count - 1, min(count, MOST_POINTS)).astype(int))
 
 
 def _over_time(row: Mapping):
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
-        at = _some(len(row["time"]))
+        at = _drawn_rows(len(row["time"]))
         for key, colour, width, label in (
             ("measured", MEASURED, 2.2, "measured"),
             ("file", BEFORE, 0.9, "file"),
@@ -244,7 +244,7 @@ def _over_time(row: Mapping):
 def _against_speed(row: Mapping):
     def paint(figure: Figure) -> None:
         ax = figure.subplots()
-        at = _some(len(row["speed"]))
+        at = _drawn_rows(len(row["speed"]))
         speed, missing = np.asarray(row["speed"])[at], np.asarray(row["missing"])[at]
         order = np.argsort(speed)
         ax.plot(speed, missing, ".", color=MEASURED, markersize=2.2, label="along the motion")
@@ -270,30 +270,30 @@ MOST_JOINTS, MOST_STRETCHES = 6, 16
 PANEL = (9.0, 1.7)  # inches, of a joint
 
 
-def save_replay(found: Replay, path: Path) -> None:
-    """Of the first trial: a panel for each joint (the worst first where there are many), measured
+def save_replay(replay: Replay, path: Path) -> None:
+    """Draw the first trial: a panel for each joint (the worst first where there are many), measured
     and simulated, stretch after stretch.
     """
-    joints = sorted(np.argsort(-np.median(found.error, 0))[:MOST_JOINTS])
-    lanes = np.flatnonzero(found.trial == found.trial[0])[:MOST_STRETCHES]
+    joints = sorted(np.argsort(-np.median(replay.error, 0))[:MOST_JOINTS])
+    stretches = np.flatnonzero(replay.trial == replay.trial[0])[:MOST_STRETCHES]
     width, height = PANEL
     figure, panels = look.new_figure(width, height * len(joints) + 0.8, len(joints), sharex=True)
     for axis, j in zip(panels, joints, strict=True):
-        for w in lanes:
-            observed = found.seen[w, :, j] > 0
+        for w in stretches:
+            is_measured = replay.seen[w, :, j] > 0
             axis.plot(
-                found.time[w, observed],
-                found.measured[w, observed, j],
+                replay.time[w, is_measured],
+                replay.measured[w, is_measured, j],
                 color=MEASURED,
                 linewidth=2.2,
             )
-            axis.plot(found.time[w], found.simulated[w, :, j], color=BEFORE, linewidth=1.0)
-        unit = "rad" if found.kinds[j] == "hinge" else "m"
+            axis.plot(replay.time[w], replay.simulated[w, :, j], color=BEFORE, linewidth=1.0)
+        unit = "rad" if replay.kinds[j] == "hinge" else "m"
         look.style_axes(axis)
-        axis.set_ylabel(f"{found.joint_names[j]} [{unit}]", fontsize=8)
-        error = 1e3 * np.median(found.error[:, j])
+        axis.set_ylabel(f"{replay.joint_names[j]} [{unit}]", fontsize=8)
+        error = 1e3 * np.median(replay.error[:, j])
         axis.set_title(f"median error {error:.3g} m{unit}", fontsize=8, loc="right", pad=2)
-    panels[-1].set_xlabel(f"time in trial {found.trial_names[found.trial[0]]} [s]")
+    panels[-1].set_xlabel(f"time in trial {replay.trial_names[replay.trial[0]]} [s]")
     measured, simulated = panels[0].get_lines()[:2]
     figure.legend(
         [measured, simulated],

@@ -173,12 +173,12 @@ NAMES = {
 
 def why_judge(report: Mapping) -> str:
     """Which yardstick judged, and why."""
-    reported = report.get("yardsticks") or {}
-    judge: str = reported.get("judge") or ""
+    measures = report.get("yardsticks") or {}
+    judge: str = measures.get("judge") or ""
     if judge in NAMES:
-        return f"Judged by {NAMES[judge].format(span=_span(reported, judge))}: {reported['why']}."
+        return f"Judged by {NAMES[judge].format(span=_span(measures, judge))}: {measures['why']}."
     return ""
 
 
-def _span(reported: Mapping, judge: Any) -> float:
-    return float(((reported.get("declared") or {}).get(judge) or {}).get("span_s") or 0.0)
+def _span(measures: Mapping, judge: Any) -> float:
+    return float(((measures.get("declared") or {}).get(judge) or {}).get("span_s") or 0.0)

@@ -42,9 +42,9 @@ def plain(name: str) -> str:
     """`command_delay` -> `command delay`; `coulomb` -> `Coulomb friction`; `joint1` -> `joint
     1`.
     """
-    known = of_joints().get(name)
-    if known is not None and known.title:
-        return known.title
+    effect = of_joints().get(name)
+    if effect is not None and effect.title:
+        return effect.title
     text = " ".join(proper_words().get(word, word) for word in name.replace("_", " ").split())
     if text.startswith(("joint", "link", "body")) and text[-1:].isdigit() and " " not in text:
         stem = text.rstrip("0123456789")
@@ -56,11 +56,13 @@ def effect_name(effect: Mapping) -> str:
     """`Coulomb friction at joint 1`; a class as `bias or spring at joint 1`, or `bias at joint 1 or
     tilt at base`.
     """
-    some = [effect["name"], *(effect.get("alternatives") or [])]
-    every = [name_and_place(name, effect["where"]) for name in some]
-    if len({where for _, where in every}) == 1:
-        return _at(fmt.listing([plain(name) for name, _ in every], "or"), effect["where"])
-    return fmt.listing([_at(plain(name), where) for name, where in every], "or")
+    names = [effect["name"], *(effect.get("alternatives") or [])]
+    names_and_places = [name_and_place(name, effect["where"]) for name in names]
+    if len({where for _, where in names_and_places}) == 1:
+        return _at(
+            fmt.listing([plain(name) for name, _ in names_and_places], "or"), effect["where"]
+        )
+    return fmt.listing([_at(plain(name), where) for name, where in names_and_places], "or")
 
 
 def name_and_place(alternative: str, where: str) -> tuple[str, str]:
@@ -109,34 +111,36 @@ def headline(report: Mapping) -> str:
 
 
 def worse_files(report: Mapping) -> str:
-    """Which of the files that were written simulate a joint worse than the declared one, the joint at
-    which each is worst, and by how much. Empty where none does.
-    """  # noqa: E501
+    """Say which written files simulate a joint worse than the declared one.
+
+    Names the joint at which each is worst, and by how much. Empty where none does.
+    """
     parts = []
     for name, rows in _worse(report).items():
         if rows:
             row = rows[0]
             after = fmt.quantity(row["after"], row["unit"])
             before = fmt.quantity(row["before"], row["unit"])
-            rest = f" and {len(rows) - 1} more" if len(rows) > 1 else ""
+            others = f" and {len(rows) - 1} more" if len(rows) > 1 else ""
             parts.append(
-                f"{name} simulates {plain(row['joint'])}{rest} worse than the declared file: "
+                f"{name} simulates {plain(row['joint'])}{others} worse than the declared file: "
                 f"{after} for {before} over {row['over']}"
             )
     return "; ".join(parts)
 
 
 def _worse(report: Mapping) -> dict[str, list[Mapping]]:
-    """By file the rows of joints that it simulates worse than the declared one, worst first."""
+    """Return by file the rows of joints that it simulates worse than the declared, worst first."""
     files = report.get("files") or {}
     return {name: [row for row in rows if row["worse"]] for name, rows in files.items()}
 
 
 def unpredicted(report: Mapping) -> str:
-    """That a straight line simulates most joints better than any file, and at how many. Empty where
-    files do better, or none was run.
+    """Say that a straight line simulates most joints better than any file, and at how many.
+
+    Empty where files do better, or none was run.
     """
-    rows = [row for some in (report.get("files") or {}).values() for row in some]
+    rows = [row for file_rows in (report.get("files") or {}).values() for row in file_rows]
     joints = {row["joint"] for row in rows}
     predicted = {row["joint"] for row in rows if min(row["before"], row["after"]) < row["nothing"]}
     if 2 * len(predicted) >= len(joints):
@@ -148,36 +152,35 @@ def unpredicted(report: Mapping) -> str:
 
 
 def _files(report: Mapping) -> str:
-    """What to take the files for where one of them is worse than the declared one, or none simulates;
-    empty otherwise.
-    """  # noqa: E501
-    if nothing := unpredicted(report):
+    """Say what to take the files for where one is worse than the declared one, or none simulates.
+
+    Empty otherwise.
+    """
+    if caveat := unpredicted(report):
         return (
-            f"Do not simulate these motions by any file: {nothing}. The mended model is good for "
+            f"Do not simulate these motions by any file: {caveat}. The mended model is good for "
             "the torque along a motion, and in closed loop with the robot's own controller."
         )
-    good, worse = recommended(report), worse_files(report)
-    if len(good) == len(report.get("files") or {}):
+    usable, worse = recommended(report), worse_files(report)
+    if len(usable) == len(report.get("files") or {}):
         return ""
-    if not good:
+    if not usable:
         return f"Keep the declared file for simulation: {worse}. Look where the rest sits."
-    return f"Simulate with {fmt.listing(good)} alone: {worse or _behind(report, good[0])}."
+    return f"Simulate with {fmt.listing(usable)} alone: {worse or _behind(report, usable[0])}."
 
 
 def _behind(report: Mapping, best: str) -> str:
-    """Where a file that is no worse than the declared one is farthest behind the best, and by how
-    much.
-    """
+    """Say where a file that is no worse than the declared one is farthest behind the best."""
     files = report["files"]
     pairs = [
-        (name, row, first)
+        (name, row, best_row)
         for name in files
-        for row, first in zip(_in_order(files[name]), _in_order(files[best]), strict=True)
+        for row, best_row in zip(_in_order(files[name]), _in_order(files[best]), strict=True)
     ]
-    name, row, first = max(pairs, key=lambda pair: pair[1]["after"] / pair[2]["after"])
-    after, least = (fmt.quantity(z["after"], row["unit"]) for z in (row, first))
+    name, row, best_row = max(pairs, key=lambda pair: pair[1]["after"] / pair[2]["after"])
+    after, best_error = (fmt.quantity(z["after"], row["unit"]) for z in (row, best_row))
     place = f"{plain(row['joint'])} over {row['over']}"
-    return f"{name} leaves {after} at {place}, where it leaves {least}"
+    return f"{name} leaves {after} at {place}, where it leaves {best_error}"
 
 
 def recommended(report: Mapping) -> list[str]:
@@ -185,12 +188,12 @@ def recommended(report: Mapping) -> list[str]:
     least of all joints.
     """
     files, worse = report.get("files") or {}, _worse(report)
-    good = [name for name in files if not worse[name]]
-    left = {name: [row["after"] for row in _in_order(files[name])] for name in good}
-    if len(good) < 2 or not all(left.values()):
-        return good
-    best = np.array(min(left.values(), key=lambda z: np.sum(np.log(z))))
-    return [name for name in good if np.all(np.array(left[name]) <= REPORT.slack * best)]
+    not_worse = [name for name in files if not worse[name]]
+    errors = {name: [row["after"] for row in _in_order(files[name])] for name in not_worse}
+    if len(not_worse) < 2 or not all(errors.values()):
+        return not_worse
+    best = np.array(min(errors.values(), key=lambda z: np.sum(np.log(z))))
+    return [name for name in not_worse if np.all(np.array(errors[name]) <= REPORT.slack * best)]
 
 
 def _in_order(rows: Sequence[Mapping]) -> list[Mapping]:
@@ -198,30 +201,30 @@ def _in_order(rows: Sequence[Mapping]) -> list[Mapping]:
 
 
 def _verdict(report: Mapping) -> str:
-    verdict, names, rest = report["verdict"], effect_names(report), _rest(report["error"])
+    verdict, names, caveat = report["verdict"], effect_names(report), _error_caveat(report["error"])
     if verdict == "explained":
-        return f"The declared model lacks {names}{rest}."
+        return f"The declared model lacks {names}{caveat}."
     if verdict == "explained_class":
         if names:
-            return f"The declared model lacks {names}; these trials cannot tell which{rest}."
+            return f"The declared model lacks {names}; these trials cannot tell which{caveat}."
         return ""
     if verdict == "partly_explained":
         return f"The declared model lacks {names}, and something more that has no name."
     if verdict == "structured_unattributed":
         if names:
-            found = f"{names[:1].upper()}{names[1:]} found, and"
+            opening = f"{names[:1].upper()}{names[1:]} found, and"
         else:
-            found = "The declared model leaves structure:"
+            opening = "The declared model leaves structure:"
         if names:
-            return f"{found} something more that no candidate explains."
-        return f"{found} no candidate explains it."
+            return f"{opening} something more that no candidate explains."
+        return f"{opening} no candidate explains it."
     return {
         "within_noise": _nothing_more(report),
         "data_fault": "The data must be mended before a model can be judged.",
     }[verdict]
 
 
-def _rest(error: Mapping) -> str:
+def _error_caveat(error: Mapping) -> str:
     """A caveat where what a named effect leaves is many times the noise: its size may then be off
     by more than its interval.
     """
@@ -254,9 +257,9 @@ def status(candidate: Mapping, report: Mapping) -> str:
         return candidate["status"]
     if candidate["accepted"]:
         return "accepted"
-    here = name_and_place(candidate["name"], candidate["where"])
+    own_name_and_place = name_and_place(candidate["name"], candidate["where"])
     if any(
-        here == name_and_place(a, e["where"])
+        own_name_and_place == name_and_place(a, e["where"])
         for e in report["effects"]
         for a in e.get("alternatives") or []
     ):
@@ -285,16 +288,18 @@ def not_established(report: Mapping) -> list[str]:
     for effect in report["effects"]:
         if effect.get("alternatives"):
             lines.append(f"Which it is: {effect_name(effect)}.")
-    loose = unidentified(report)
-    if loose and not any(line.startswith(", ".join(loose)) for line in lines):
-        one = len(loose) == 1
-        if len(loose) <= MANY:
-            named = fmt.listing(loose)
+    unidentified_names = unidentified(report)
+    if unidentified_names and not any(
+        line.startswith(", ".join(unidentified_names)) for line in lines
+    ):
+        is_one = len(unidentified_names) == 1
+        if len(unidentified_names) <= MANY:
+            listed = fmt.listing(unidentified_names)
         else:
-            named = f"{len(loose)} numbers listed under Declared parameters"
+            listed = f"{len(unidentified_names)} numbers listed under Declared parameters"
         lines.append(
-            f"The value{'' if one else 's'} of {named}: these motions show only "
-            f"{'a combination of it with others' if one else 'combinations of them'}."
+            f"The value{'' if is_one else 's'} of {listed}: these motions show only "
+            f"{'a combination of it with others' if is_one else 'combinations of them'}."
         )
     if report["verdict"] in (
         "explained",
@@ -320,8 +325,8 @@ def unidentified(report: Mapping) -> list[str]:
 
 def todo(report: Mapping) -> str:
     """What to do now; it points to the next experiment where there is one."""
-    there = report.get("next_experiment")
-    nameless = report["verdict"] in ("within_noise", "data_fault")
+    next_experiment = report.get("next_experiment")
+    has_no_next = report["verdict"] in ("within_noise", "data_fault")
     if report["effects"] and (skill := _skill(report)) < REPORT.useful_skill:
         return (
             f"Do not rely on the mended model yet: at best it is {100 * max(skill, 0.0):.0f} % "
@@ -332,19 +337,19 @@ def todo(report: Mapping) -> str:
     if report["verdict"] == "within_noise" and not report["declared"]["after"]:
         return "Add no effect, and keep the file's values: nothing was fitted."
     return VERDICTS[report["verdict"]]["next"] + (
-        " See the next experiment below." if there and not nameless else ""
+        " See the next experiment below." if next_experiment and not has_no_next else ""
     )
 
 
 def next_words(report: Mapping) -> str:
     """What the next experiment is for; empty where there is none."""
-    given: Any = report.get("next_experiment") or ""
-    if isinstance(given, Mapping):
-        return given["message"]
-    return given
+    experiment: Any = report.get("next_experiment") or ""
+    if isinstance(experiment, Mapping):
+        return experiment["message"]
+    return experiment
 
 
 def _skill(report: Mapping) -> float:
-    """Of the mended model by the yardstick by which it does best; 1 where none was looked at."""
+    """Return the mended model's skill by the yardstick that favours it most, or 1."""
     skills = [row["skill"] for row in (report.get("yardsticks") or {}).get("mended", {}).values()]
     return max((z for z in skills if z is not None and z == z), default=1.0)

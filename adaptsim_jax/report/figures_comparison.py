@@ -144,7 +144,7 @@ def _limits(axis: Axis, values: np.ndarray, target: float | None) -> tuple[float
 
 
 def parameters_found(results: Mapping, axes: Sequence[Axis]) -> Figure:
-    """Where each method's best policy was trained, a seed a dot: a row a setting, a column a
+    """Draw where each method's best policy was trained, a seed a dot: a row a setting, a column a
     parameter.
 
     From results.json of `adaptsim compare`; methods that adapt no parameters have no `best_params`

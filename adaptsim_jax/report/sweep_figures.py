@@ -58,19 +58,23 @@ def interval(values: list[float]) -> Table:
     return {"mean": mean, "half": half, "count": count}
 
 
-def groups(found: Mapping) -> dict[str, list[Mapping]]:
+def groups(results: Mapping) -> dict[str, list[Mapping]]:
     """Finished members by their combination of values, in words."""
     rows: dict[str, list[Mapping]] = {}
-    last = [
-        key.rsplit(".", 1)[-1] for key in found["swept"]
+    last_words = [
+        key.rsplit(".", 1)[-1] for key in results["swept"]
     ]  # a legend has no room for the tables that a key is in
-    short = dict(
-        zip(found["swept"], last if len(set(last)) == len(last) else found["swept"], strict=True)
+    short_of = dict(
+        zip(
+            results["swept"],
+            last_words if len(set(last_words)) == len(last_words) else results["swept"],
+            strict=True,
+        )
     )
-    for row in found["rows"]:
+    for row in results["rows"]:
         if row["status"] == "done":
             name = ", ".join(
-                f"{short.get(key, key)} {value}" for key, value in row["values"].items()
+                f"{short_of.get(key, key)} {value}" for key, value in row["values"].items()
             )
             rows.setdefault(name or "all members", []).append(row)
     return rows
@@ -89,34 +93,34 @@ class SweptRewards(NamedTuple):
     note: str
 
 
-def swept_rewards(found: Mapping, key: str) -> SweptRewards:
-    """Of one swept key."""
-    rows = [r for r in found["summary"] if r["key"] == key and r["mean"] is not None]
+def swept_rewards(results: Mapping, key: str) -> SweptRewards:
+    """Collect the rewards of one swept key."""
+    rows = [r for r in results["summary"] if r["key"] == key and r["mean"] is not None]
     values = list({repr(r["value"]): r["value"] for r in rows}.values())
-    numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
-    if numeric:
+    is_numeric = all(isinstance(v, int | float) and not isinstance(v, bool) for v in values)
+    if is_numeric:
         values = sorted(values)
-    log = numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
+    is_log = is_numeric and len(values) > 2 and min(values) > 0 and max(values) / min(values) >= 20
     order = [repr(v) for v in values]
     lines: dict[str, list[Mapping]] = {}
     for row in sorted(rows, key=lambda r: order.index(repr(r["value"]))):
         lines.setdefault(row["reward"], []).append(row)
     lines = {name: lines[name] for name in look.distinct(rows, "reward")}
     fewest, over = min(((r["count"], r["over"]) for r in rows), default=(0, "members"))
-    return SweptRewards(values, numeric, log, lines, f"95 % intervals over {fewest} {over}")
+    return SweptRewards(values, is_numeric, is_log, lines, f"95 % intervals over {fewest} {over}")
 
 
-def over_values(found: Mapping) -> str:
+def over_values(results: Mapping) -> str:
     """Mean rewards over the values of each swept key with 95 % intervals, a line a reward. Empty
     where nothing was swept.
     """
     views = {}
-    for i, key in enumerate(found["swept"]):
-        swept = swept_rewards(found, key)
+    for i, key in enumerate(results["swept"]):
+        swept = swept_rewards(results, key)
         note = f"means with {swept.note}, the other values averaged over"
         views[(i,)] = View([_over(swept, key)], note)
     if views:
-        return explorer({"over": found["swept"]}, views, [Plot("reward over a swept value", 400)])
+        return explorer({"over": results["swept"]}, views, [Plot("reward over a swept value", 400)])
     return ""
 
 
@@ -151,31 +155,34 @@ def curves(members: Mapping[str, Sequence[Mapping]]) -> str:
     """Rewards of Phase 1 over rounds: medians of the best combinations together, then each
     combination's seeds.
     """
-    found = {name: _matrix(rows) for name, rows in members.items()}
-    found = {name: curve for name, curve in found.items() if curve.size}
-    if not found:
+    curve_of = {name: _matrix(rows) for name, rows in members.items()}
+    curve_of = {name: curve for name, curve in curve_of.items() if curve.size}
+    if not curve_of:
         return ""
     columns, views = SharedColumns(), {}
-    ends = {name: np.nanmean(curve[:, -20:]) for name, curve in found.items()}
-    best = sorted(found, key=lambda name: -float(np.nan_to_num(ends[name], nan=-np.inf)))
-    if len(found) > 1:
+    ends = {name: np.nanmean(curve[:, -20:]) for name, curve in curve_of.items()}
+    best = sorted(curve_of, key=lambda name: -float(np.nan_to_num(ends[name], nan=-np.inf)))
+    if len(curve_of) > 1:
         choices = ["medians", *best[:MOST_CHOICES]]
     else:
-        choices = list(found)
-    rounds = {n: columns.add(_taken(n) + 1, 1.0) for n in {c.shape[1] for c in found.values()}}
+        choices = list(curve_of)
+    rounds = {
+        n: columns.add(_drawn_rounds(n) + 1, 1.0) for n in {c.shape[1] for c in curve_of.values()}
+    }
     for i, choice in enumerate(choices):
-        if choice in found:
-            views[(i,)] = View([_seeds(members[choice], found[choice], rounds, columns)])
+        if choice in curve_of:
+            views[(i,)] = View([_seeds(members[choice], curve_of[choice], rounds, columns)])
         else:
-            left = len(found) - MOST_DRAWN
-            if left > 0:
-                note = f"the best {MOST_DRAWN} of {len(found)}, the others one by one"
+            n_hidden = len(curve_of) - MOST_DRAWN
+            if n_hidden > 0:
+                note = f"the best {MOST_DRAWN} of {len(curve_of)}, the others one by one"
             else:
                 note = ""
             views[(i,)] = View(
-                [_medians({name: found[name] for name in best[:MOST_DRAWN]}, rounds, columns)], note
+                [_medians({name: curve_of[name] for name in best[:MOST_DRAWN]}, rounds, columns)],
+                note,
             )
-    height = 380 + 14 * min(len(found), MOST_DRAWN)  # names in the legend, one a line on a phone
+    height = 380 + 14 * min(len(curve_of), MOST_DRAWN)  # names in the legend, one a line on a phone
     return explorer(
         {"show": choices}, views, [Plot("reward over rounds of Phase 1", height)], columns
     )
@@ -183,51 +190,53 @@ def curves(members: Mapping[str, Sequence[Mapping]]) -> str:
 
 def _matrix(rows: Sequence[Mapping]) -> np.ndarray:
     """Curves `[members, rounds]`, to the shortest."""
-    some = [row["curve"] for row in rows if row.get("curve")]
-    length = min(map(len, some), default=0)
-    return np.array([curve[:length] for curve in some], float).reshape(len(some), length)
+    curves = [row["curve"] for row in rows if row.get("curve")]
+    length = min(map(len, curves), default=0)
+    return np.array([curve[:length] for curve in curves], float).reshape(len(curves), length)
 
 
-def _taken(length: int) -> np.ndarray:
+def _drawn_rounds(length: int) -> np.ndarray:
     """Rounds that are drawn, evenly taken, the last one always."""
     return np.unique(np.linspace(0, length - 1, min(length, MOST_ROUNDS)).round().astype(int))
 
 
 def _over_rounds(data: list[Table], title: str, rounds: int) -> Table:
-    whole = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
+    ticks = {"dtick": 1} if rounds <= 10 else {}  # no tick between two rounds
     rewards = axis("reward of the last step")
-    return figure(data, axis("round", **whole), rewards, title, hovermode="closest")
+    return figure(data, axis("round", **ticks), rewards, title, hovermode="closest")
 
 
 def _medians(
-    found: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: SharedColumns
+    curve_of: Mapping[str, np.ndarray], rounds: Mapping[int, str], columns: SharedColumns
 ) -> Table:
     data: list[Table] = []
-    for i, (name, curve) in enumerate(found.items()):
-        low, middle, high = np.nanpercentile(curve[:, _taken(curve.shape[1])], [25, 50, 75], axis=0)
+    for i, (name, curve) in enumerate(curve_of.items()):
+        low, median, high = np.nanpercentile(
+            curve[:, _drawn_rounds(curve.shape[1])], [25, 50, 75], axis=0
+        )
         colour, x, title = COLOURS[i % len(COLOURS)], rounds[curve.shape[1]], shown(name)
         if len(curve) > 1:
             edges = (columns.add(edge, 1e-4) for edge in (low, high))
             data += [b | {"legendgroup": name} for b in band(title, x, *edges, fill=f"{colour}/15")]
         pen = {"color": colour, "width": 1.8, "dash": "solid" if i < len(COLOURS) else "dash"}
         hover = {"legendgroup": name, "hovertemplate": "round %{x}: %{y:.3f}"}
-        data.append(line(title, x, columns.add(middle, 1e-4), pen, **hover))
-    most = max(c.shape[1] for c in found.values())
-    return _over_rounds(data, "median and quartiles over seeds", most)
+        data.append(line(title, x, columns.add(median, 1e-4), pen, **hover))
+    n_rounds = max(c.shape[1] for c in curve_of.values())
+    return _over_rounds(data, "median and quartiles over seeds", n_rounds)
 
 
 def _seeds(
     rows: Sequence[Mapping], curve: np.ndarray, rounds: Mapping[int, str], columns: SharedColumns
 ) -> Table:
-    some = [row for row in rows if row.get("curve")]
+    drawn_rows = [row for row in rows if row.get("curve")]
     data, x = [], rounds[curve.shape[1]]
-    for i, row in enumerate(some[:30]):
-        y = columns.add(curve[i, _taken(curve.shape[1])], 1e-4)
+    for i, row in enumerate(drawn_rows[:30]):
+        y = columns.add(curve[i, _drawn_rounds(curve.shape[1])], 1e-4)
         pen = {"color": COLOURS[i % len(COLOURS)], "width": 1.4}
         hover = "round %{x}: %{y:.3f}"
         data.append(line(f"seed {row['seed']}", x, y, pen, hovertemplate=hover))
-    if len(some) <= 30:
+    if len(drawn_rows) <= 30:
         title = "each seed"
     else:
-        title = f"the first 30 of {len(some)} seeds"
+        title = f"the first 30 of {len(drawn_rows)} seeds"
     return _over_rounds(data, title, curve.shape[1])

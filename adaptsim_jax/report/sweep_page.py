@@ -54,8 +54,8 @@ def render(found: Mapping) -> str:
 
 
 def _means(rows: Sequence[Mapping], rewards: Sequence[str]) -> list[Table]:
-    """Of each reward the mean over the members of one combination, with the half width of its 95 %
-    interval.
+    """Return of each reward the mean over the members of one combination, with the half width of
+    its 95 % interval.
     """
     return [interval([v for row in rows if (v := earned(row, r)) is not None]) for r in rewards]
 
@@ -70,7 +70,7 @@ def written(value: Any) -> str:
 
 
 def _best(combinations: Sequence[tuple], rewards: Sequence[str]) -> list[tuple[str, Any, str]]:
-    """Of each reward its name, the largest mean, and the combination that has it."""
+    """Return of each reward its name, the largest mean, and the combination that has it."""
     best = []
     for i, name in enumerate(rewards):
         known = [(means[i], group) for group, _, means in combinations if means[i]["count"]]

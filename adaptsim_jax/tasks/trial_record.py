@@ -449,7 +449,7 @@ def padded(names: Sequence[float], found: Tracks) -> tuple[np.ndarray, np.ndarra
 
 
 def aside(names: Sequence[float], found: Tracks, starts: np.ndarray, still: float) -> np.ndarray:
-    """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `quiet` s; 0
+    """`[T, 2]` m from the declared `starts [T, 2]` to the mean of the rows before `still` s; 0
     where there are none.
     """
     rows = [found[n].places[found[n].time < still, :2] for n in names]
@@ -462,7 +462,7 @@ def noise_of(
     meta: Mapping[str, Any], time, places, mask, still: float, before: str, size: Size = PLACE
 ) -> tuple[float, str]:
     """Noise of a coordinate of `places [T, R, C]`, and where it is known from: declared, rows
-    before `quiet` s, or third differences.
+    before `still` s, or third differences.
 
     Rounding hides smaller noise of a body at rest, not of one that moves: it is the least that is
     believed.

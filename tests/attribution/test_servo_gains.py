@@ -59,7 +59,9 @@ def test_friction_that_is_simulated_soft_is_not_said_to_leave_a_rest():
     named = [SimpleNamespace(candidate=SimpleNamespace(effect="coulomb"))]
 
     def group(rub):
-        return SimpleNamespace(model=SimpleNamespace(tree=SimpleNamespace(rub=np.array([rub]))))
+        return SimpleNamespace(
+            model=SimpleNamespace(tree=SimpleNamespace(friction_softness=np.array([rub])))
+        )
 
     assert soft_friction(SimpleNamespace(groups=[group(0.0)]), named, True, 2.0)
     assert not soft_friction(SimpleNamespace(groups=[group(0.01)]), named, True, 2.0)

@@ -202,7 +202,7 @@ def replayed(path: Path) -> np.ndarray:
         numbers,
         read=START[:, None],
     )
-    sharp = replace(tree, rub=np.zeros_like(np.asarray(tree.rub)))
+    sharp = replace(tree, friction_softness=np.zeros_like(np.asarray(tree.friction_softness)))
     model = ActingModel(sharp, effects)
     past = 4
     time = CONTROL * np.arange(T + 1)[:, None]

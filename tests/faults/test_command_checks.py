@@ -11,7 +11,7 @@ from adaptsim_jax.attribution.command_checks import check_commands
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.criteria import COMMAND
-from adaptsim_jax.logs.quality.commands import cut, unexplained
+from adaptsim_jax.logs.quality.commands import detect_target_limit, unexplained
 from adaptsim_jax.logs.quality.hypotheses import Track
 from tests.faults.servo_files import log, model, noisy, sines, steps, swung
 
@@ -86,7 +86,10 @@ def test_a_limit_of_force_that_a_much_damped_joint_meets_now_and_then_is_no_limi
                 q = q + h * v
         angles = np.array(out)[:, None] + 1e-4 * rng.normal(size=(rows, 1))
         tracks.append(Track(np.arange(rows) / rate, angles, None, targets[:, None]))
-    assert unexplained(tracks) > COMMAND.doubted and cut(tracks, 0, 0.0) is None
+    assert (
+        unexplained(tracks) > COMMAND.min_doubted_share
+        and detect_target_limit(tracks, 0, 0.0) is None
+    )
 
 
 @pytest.mark.parametrize("seed", range(3))

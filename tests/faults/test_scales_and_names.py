@@ -110,7 +110,7 @@ def test_a_gripper_has_a_scale_of_its_own(tmp_path, known):
     from adaptsim_jax.logs.readers import Wanted
 
     found = guess(read_lerobot(tmp_path / "set", Wanted())[0].columns, model, lerobot=True)
-    assert found.units["angle"][0] == "deg" and found.units["q_gripper"][0].known == known
+    assert found.units["angle"][0] == "deg" and found.units["q_gripper"][0].is_complete == known
 
 
 def test_degrees_are_no_per_cent(tmp_path):

@@ -36,7 +36,7 @@ def test_a_gripper_on_a_welded_base_is_folded_and_told(tmp_path):
         written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
     )
     tree = made.tree
-    assert tree.joint_names == ("arm", "right", "tip") and tree.whole is not None
+    assert tree.joint_names == ("arm", "right", "tip") and tree.all_joints is not None
     np.testing.assert_allclose(tree.damping, [0.1, 2.0 + 0.8**2 * 3.0, 0.0])
     np.testing.assert_allclose(tree.armature[1], 0.8**2 * 0.1)
     np.testing.assert_allclose(
@@ -44,7 +44,7 @@ def test_a_gripper_on_a_welded_base_is_folded_and_told(tmp_path):
     )  # its force at zero
     grip = next(x for x in made.actuators if x.name == "grip")
     np.testing.assert_allclose([grip.gear, grip.offset], [0.5 + 0.5 * 0.8, -60.0 * 0.5 * 0.004])
-    np.testing.assert_allclose(tree.whole.tree.gravcomp[0, 0], 0.4 * 1.0)
+    np.testing.assert_allclose(tree.all_joints.tree.gravcomp[0, 0], 0.4 * 1.0)
 
 
 @pytest.mark.slow
@@ -60,7 +60,7 @@ def test_a_gripper_on_a_welded_base_has_the_forces_of_mujoco(tmp_path):
         written(tmp_path / "robot.xml", GRIPPER.format(free='<freejoint name="root"/>'))
     )
     tree = made.tree
-    assert tree.joint_names == ("arm", "right", "tip") and tree.whole is not None
+    assert tree.joint_names == ("arm", "right", "tip") and tree.all_joints is not None
     assert any("welded" in note and "root" in note for note in made.notes)
     assert any("left = 0.004 + 0.8 right" in note for note in made.notes)
     model = mujoco.MjModel.from_xml_string(GRIPPER.format(free=""))
@@ -169,7 +169,7 @@ def test_a_loop_that_closes_is_told_and_what_is_in_it_held(tmp_path):
         "<equality>", '<equality><connect body1="tip" body2="arm" anchor="0 0 -0.2"/>'
     )
     made = read_mechanism(written(tmp_path / "robot.xml", text))
-    assert made.tree.joint_names == ("arm",) and any("loop" in line for line in made.beyond)
+    assert made.tree.joint_names == ("arm",) and any("loop" in line for line in made.unsupported)
 
 
 def test_a_ball_is_three_hinges_in_turn(tmp_path):
@@ -180,7 +180,7 @@ def test_a_ball_is_three_hinges_in_turn(tmp_path):
     made = read_mechanism(written(tmp_path / "robot.xml", text))
     assert (
         made.tree.joint_names == ("hip_x", "hip_y", "hip_z")
-        and "ball joint 'hip'" in made.beyond[0]
+        and "ball joint 'hip'" in made.unsupported[0]
     )
 
 

@@ -19,7 +19,7 @@ from adaptsim_jax.attribution.stretches import JointTrack
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.mechanisms.tree import make_tree
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.catalogue import rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.sensed import Reading
@@ -162,7 +162,7 @@ def of_mujoco(text: str, joints: tuple[str, ...]) -> dict[str, list[str]]:
     read = [
         Reading(f"{kind}{i}", 3 * k + i, kind) for k, kind in enumerate(kinds) for i in range(3)
     ]
-    made = Stepped("", model, angle, -1, model.qpos0, (), free, tuple(read))
+    made = SteppedModel("", model, angle, -1, model.qpos0, (), free, tuple(read))
     every = [*rows(made, joints), *contact_rows(made), *sensor_rows(made, len(joints))]
     return of_trials(every, [f for e in every for f in e.parameters])
 

@@ -12,16 +12,16 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.closed_loop.fit import LawFit, fitted, left
-from adaptsim_jax.simulators.closed_loop.identified import identified
+from adaptsim_jax.simulators.closed_loop.fit import LawFit, fit_law, sum_squares
+from adaptsim_jax.simulators.closed_loop.identified import identify_servos
 from adaptsim_jax.simulators.closed_loop.imposed import joint_problems
-from adaptsim_jax.simulators.closed_loop.law import moved, servos_of, with_model
+from adaptsim_jax.simulators.closed_loop.law import put_law, servos_of, step_law
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
-from adaptsim_jax.simulators.closed_loop.polish import FittedServos, polished, whole_trials
+from adaptsim_jax.simulators.closed_loop.polish import FittedServos, polish_laws, whole_trials
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.rivals import gain_shown
 from adaptsim_jax.simulators.closed_loop.stepping import errors
-from adaptsim_jax.simulators.closed_loop.whole import simulated, trial_errors
+from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 
 ARM = """<mujoco><option timestep="0.002"/><worldbody><body name="upper">
 <joint name="shoulder" axis="0 1 0" armature=".03" damping=".1"/>
@@ -51,7 +51,7 @@ def logged(folder: Path, file: str, law=None, late: float = 0.0, load_kg: float 
     log = type("Log", (), {"input_kind": "command", "joint_names": names, "input_names": names})
     speeds = model.actuator_biasprm[0, 1] == 0.0
     for k, servo in enumerate(servos_of(made, log)):
-        with_model(servo, model, law(k, servo.law) if law else servo.law)
+        put_law(servo, model, law(k, servo.law) if law else servo.law)
     model.body_mass[-1] += load_kg
     mujoco.mj_setConst(model, data)
     model.opt.timestep = FINE
@@ -96,7 +96,7 @@ def arm(tmp_path_factory):
 def test_whole_trials_and_one_joint_by_itself_simulate_the_truth_to_within_noise(arm):
     made = recording(arm)
     laws = [other(j, s.law) for j, s in enumerate(made.servos)]
-    (path,) = simulated(made, [laws])
+    (path,) = simulate(made, [laws])
     assert np.sqrt(np.square(trial_errors(made, path)).mean(0)).max() < 1.5 * NOISE
     motions = [imposed_motion(t, m) for t, m in zip(made.trials, path, strict=True)]
     for problem, law in zip(joint_problems(made, motions, laws), laws, strict=True):
@@ -120,7 +120,7 @@ def test_motion_at_a_limit_is_alike_in_any_step(cut_arm):
         model = copy.copy(cut_arm.model)
         model.opt.timestep = step
         made = replace(cut_arm, model=model)
-        off = trial_errors(made, simulated(made, [laws])[0])
+        off = trial_errors(made, simulate(made, [laws])[0])
         assert np.sqrt(np.square(off).mean(0)).max() < 1.5 * NOISE
 
 
@@ -131,7 +131,7 @@ def test_kp_shows_unless_motion_is_at_a_limit(arm, cut_arm, way, shown):
     problems = joint_problems(made, [imposed_motion(t) for t in made.trials], laws)
     whole = whole_trials(made, problems)
     fits = tuple(LawFit(law, ("scale", "damping", "rub", "limit")) for law in laws)
-    found = polished(whole, FittedServos(fits), rounds=0)
+    found = polish_laws(whole, FittedServos(fits), rounds=0)
     assert gain_shown(whole, found) == (shown, shown)
 
 
@@ -141,13 +141,13 @@ def test_coordinates_move_the_scale_with_all_that_it_multiplies(arm):
         made, [imposed_motion(t) for t in made.trials], [s.law for s in made.servos]
     )
     law, free = problem.servo.law, problem.servo.free
-    twice = moved(problem.servo, problem.scales, law, free, np.array([np.log(2.0), 0.0, 0.0]))
+    twice = step_law(problem.servo, problem.scales, law, free, np.array([np.log(2.0), 0.0, 0.0]))
     assert twice.kp == pytest.approx(2 * law.kp)
     assert twice.damping / twice.kp == pytest.approx(law.damping / law.kp)
     assert twice.limit == law.limit  # is not fitted
     far = replace(problem, groups=problem.groups)
-    begun = fitted(far, LawFit(law._replace(kp=0.5 * law.kp), free))
-    assert left(far, begun.law).sum() < 0.1 * left(far, law).sum()
+    begun = fit_law(far, LawFit(law._replace(kp=0.5 * law.kp), free))
+    assert sum_squares(far, begun.law).sum() < 0.1 * sum_squares(far, law).sum()
 
 
 def test_kp_damping_and_friction_that_are_not_the_files_are_found(arm, tmp_path):
@@ -176,7 +176,7 @@ def test_kp_damping_and_friction_that_are_not_the_files_are_found(arm, tmp_path)
 
 
 def test_what_lacks_nothing_is_not_searched(tmp_path):
-    found = identified(recording(logged(tmp_path / "log", ARM)))
+    found = identify_servos(recording(logged(tmp_path / "log", ARM)))
     assert found.members == () and found.laws == [s.law for s in found.recording.servos]
     assert found.over_noise.max() < 1.5
 

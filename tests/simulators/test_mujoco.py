@@ -12,8 +12,8 @@ import pytest
 from adaptsim_jax import cli
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.mujoco.build import stepped
-from adaptsim_jax.simulators.mujoco.fields import field, with_values
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model
+from adaptsim_jax.simulators.mujoco.fields import model_number, with_values
 from adaptsim_jax.simulators.mujoco.fit import fit
 from adaptsim_jax.simulators.mujoco.replay import replayed
 from adaptsim_jax.simulators.mujoco.touching import touching
@@ -37,8 +37,12 @@ def walked(tmp_path_factory):
 def test_a_quadruped_that_walks_is_replayed_as_it_was_made(walked):
     source, log = read_source_and_log(walked)
     found = replayed(source, log, 0.3)
-    assert found.made.base == 0 and np.median(found.error) < 1e-6 and np.median(found.base) < 1e-6
-    assert "touch in" in touching(found.made, log)
+    assert (
+        found.stepped_model.base == 0
+        and np.median(found.error) < 1e-6
+        and np.median(found.base) < 1e-6
+    )
+    assert "touch in" in touching(found.stepped_model, log)
 
 
 def test_a_trial_without_the_base_that_others_have_is_refused_and_the_mend_works(walked, tmp_path):
@@ -53,10 +57,10 @@ def test_a_trial_without_the_base_that_others_have_is_refused_and_the_mend_works
         data / "run_1.csv", rows[:, :-7], delimiter=",", header=header, comments="", fmt="%.12g"
     )
     with pytest.raises(BadInput, match=r"trial run_1 has no base_x.*exclude = ..run_1") as error:
-        stepped(*read_source_and_log(data))
+        make_stepped_model(*read_source_and_log(data))
     mend = str(error.value)[str(error.value).index("exclude") :]
     (data / "meta.toml").write_text(f'task = "mechanism"\nmodel = "model.xml"\n[trials]\n{mend}\n')
-    assert stepped(*read_source_and_log(data)).base == 0
+    assert make_stepped_model(*read_source_and_log(data)).base == 0
 
 
 def test_the_command_takes_mujoco_where_the_base_moves(walked, capsys):
@@ -154,8 +158,8 @@ def test_a_loop_and_an_actuator_with_a_memory_of_which_one_joint_is_logged(tmp_p
 
 
 def test_a_mass_takes_its_moments_along_and_derived_numbers_are_made_anew(walked):
-    made = stepped(*read_source_and_log(walked))
-    mass = field(made.model, "body:trunk.mass")
+    made = make_stepped_model(*read_source_and_log(walked))
+    mass = model_number(made.model, "body:trunk.mass")
     other = with_values(made.model, [mass], [8.0])
     k = made.model.body("trunk").id
     np.testing.assert_allclose(other.body_inertia[k], 2.0 * made.model.body_inertia[k])
@@ -173,9 +177,9 @@ def test_a_mass_takes_its_moments_along_and_derived_numbers_are_made_anew(walked
     ],
 )
 def test_names_that_are_none_are_refused(walked, name, says):
-    made = stepped(*read_source_and_log(walked))
+    made = make_stepped_model(*read_source_and_log(walked))
     with pytest.raises(BadInput) as error:
-        field(made.model, name)
+        model_number(made.model, name)
     assert says in str(error.value)
 
 
@@ -187,7 +191,7 @@ def test_ground_that_is_moved_is_where_it_was_moved_to(name):
     model = mujoco.MjModel.from_xml_string(
         '<mujoco><worldbody><geom type="plane" size="1 1 1"/></worldbody></mujoco>'
     )
-    moved = with_values(model, [field(model, name)], [0.1])
+    moved = with_values(model, [model_number(model, name)], [0.1])
     data = mujoco.MjData(moved)
     mujoco.mj_forward(moved, data)
     up, height = data.geom_xmat[0].reshape(3, 3)[:, 2], data.geom_xpos[0, 2]
@@ -211,7 +215,7 @@ def test_joints_are_held_where_the_file_disables_its_equalities(tmp_path, flag):
     rows = zip(time, np.cos(5 * time), np.sin(5 * time), strict=True)
     lines = ["time,q_crank,q_rocker", *(",".join(f"{x:.6f}" for x in row) for row in rows)]
     (tmp_path / "run.csv").write_text("\n".join(lines) + "\n")
-    model = stepped(*read_source_and_log(tmp_path)).model
+    model = make_stepped_model(*read_source_and_log(tmp_path)).model
     data = mujoco.MjData(model)
     data.qpos[model.joint("crank").qposadr[0]] = 1.0
     mujoco.mj_step(model, data, 100)

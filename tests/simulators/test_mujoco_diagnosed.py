@@ -10,7 +10,13 @@ from adaptsim_jax import cli
 from adaptsim_jax.attribution.replay import replay_files
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.read import read_source_and_log
-from adaptsim_jax.simulators.mujoco.diagnosed import change, diagnose, halved, simulator, step_notes
+from adaptsim_jax.simulators.mujoco.diagnosed import (
+    change,
+    diagnose,
+    simulator,
+    step_notes,
+    with_half_step,
+)
 from adaptsim_jax.simulators.mujoco.replay import replayed
 from tests.simulators.robots import quadruped, record, walk
 from tests.simulators.test_mujoco import ARM, swing
@@ -181,8 +187,8 @@ def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path)
     assert again.base is None and np.median(again.error) < 0.01  # of a sway of 0.15
     made = simulator(*read_source_and_log(tmp_path))
     assert (
-        made.made.free == 0
-        and made.made.base < 0
+        made.stepped_model.free == 0
+        and made.stepped_model.base < 0
         and [c.unit for c in made.channels[-6:]] == ["rad/s"] * 3 + ["m/s^2"] * 3
     )
     up, nv = (
@@ -190,10 +196,15 @@ def test_a_base_that_only_its_imu_tells_of_is_estimated_with_the_start(tmp_path)
         model.nv,
     )
     for w, start in enumerate(made.stretches.start):
-        pose, was = made.own.qpos[w].copy(), truth[40 + round(100 * made.own.time[w, 0])]
+        pose, was = (
+            made.mujoco_stretches.qpos[w].copy(),
+            truth[40 + round(100 * made.mujoco_stretches.time[w, 0])],
+        )
         mujoco.mj_integratePos(model, pose, np.ascontiguousarray(start[:nv]), 1.0)
         assert np.abs(up(pose[3:]) - up(was[3:])).max() < 0.02 and abs(pose[2] - was[2]) < 5e-3
-        assert np.linalg.norm(made.own.qvel[w, :3] + start[nv : nv + 3] - was[7:]) < 0.2
+        assert (
+            np.linalg.norm(made.mujoco_stretches.qvel[w, :3] + start[nv : nv + 3] - was[7:]) < 0.2
+        )
 
 
 def test_sensors_that_the_model_has_not_are_refused(tmp_path):
@@ -215,8 +226,8 @@ def test_a_coarse_step_is_told_and_a_fine_one_is_not(tmp_path):
     values = np.array([q.default for q in made.quantities])
     size = change(made, values)
     assert (
-        halved(made).made.model.opt.timestep == 0.002
-        and 0.0 < change(halved(made), values) < 0.7 * size
+        with_half_step(made).stepped_model.model.opt.timestep == 0.002
+        and 0.0 < change(with_half_step(made), values) < 0.7 * size
     )
     assert bool(step_notes(made, values)) == (size >= 1.0)
     (data / "model.xml").write_text(

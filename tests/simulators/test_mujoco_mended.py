@@ -39,10 +39,10 @@ def moved(f) -> float:
 
 def test_every_number_of_the_catalogue_comes_back_from_the_file(walked):
     values = {f.name: moved(f) for f in walked.quantities}
-    text = mended_mjcf(walked.made, walked.quantities, values)
+    text = mended_mjcf(walked.stepped_model, walked.quantities, values)
     got = mujoco.MjModel.from_xml_string(text)
     own = [f for f in walked.quantities if f.field not in OUTSIDE]
-    want = with_values(walked.made.model, own, [values[f.name] for f in own])
+    want = with_values(walked.stepped_model.model, own, [values[f.name] for f in own])
     for name in ARRAYS:
         np.testing.assert_allclose(getattr(got, name), getattr(want, name), atol=2e-6, err_msg=name)
     for f in walked.quantities:
@@ -54,7 +54,7 @@ def test_every_number_of_the_catalogue_comes_back_from_the_file(walked):
 
 def test_contact_changes_in_proportion_so_that_nothing_jumps_where_it_hardly_changes(walked):
     friction = next(f for f in walked.quantities if f.name == "contact.friction[0]")
-    file = walked.made.model
+    file = walked.stepped_model.model
     assert len(set(file.geom_friction[:, 0])) > 1
     near = with_values(file, (friction,), (friction.default * 1.001,))
     np.testing.assert_allclose(near.geom_friction[:, 0], 1.001 * file.geom_friction[:, 0])
@@ -73,9 +73,12 @@ def test_feet_without_friction_have_no_share_of_it_to_change(tmp_path):
 
 def test_what_was_not_found_stays_as_it_was(walked):
     text = mended_mjcf(
-        walked.made, walked.quantities, {f.name: f.default for f in walked.quantities}
+        walked.stepped_model, walked.quantities, {f.name: f.default for f in walked.quantities}
     )
-    got, file = mujoco.MjModel.from_xml_string(text), mujoco.MjModel.from_xml_path(walked.made.path)
+    got, file = (
+        mujoco.MjModel.from_xml_string(text),
+        mujoco.MjModel.from_xml_path(walked.stepped_model.path),
+    )
     for name in ARRAYS:
         np.testing.assert_allclose(getattr(got, name), getattr(file, name), atol=1e-9, err_msg=name)
     assert "not in this file" not in text
@@ -85,15 +88,15 @@ def test_a_number_of_what_is_not_written_is_told(walked):
     damping = next(f for f in walked.quantities if f.field == "joint.damping")
     rope = replace(damping, name="tendon:rope.damping", field="tendon.damping", default=0.0)
     with pytest.raises(BadInput, match="numbers of a tendon are not written"):
-        _put(mujoco.MjSpec.from_file(walked.made.path), walked.made.model, rope)
+        _put(mujoco.MjSpec.from_file(walked.stepped_model.path), walked.stepped_model.model, rope)
 
 
 def test_a_table_of_numbers_is_refused_with_the_file_that_holds_them(walked, tmp_path):
     table = tmp_path / "model.toml"
     table.write_text('schema = 2\ntask = "simulator"\nmodel = "model.xml"\n')
-    data = Path(walked.made.path).parent
+    data = Path(walked.stepped_model.path).parent
     with pytest.raises(BadInput, match=r"give the model\.xml beside it"):
         replay_files(str(table), str(data))
-    (tmp_path / "model.xml").write_text(mended_mjcf(walked.made, walked.quantities, {}))
+    (tmp_path / "model.xml").write_text(mended_mjcf(walked.stepped_model, walked.quantities, {}))
     found = replay_files(str(tmp_path / "model.xml"), str(data), horizon=0.24)
     assert np.median(found.error) < 1e-3

@@ -146,8 +146,8 @@ def inside(tree: Tree, q: np.ndarray) -> np.ndarray:
 def _known(
     tree: Tree, mean: scipy.sparse.csr_matrix, q: np.ndarray, v: np.ndarray, a: np.ndarray
 ) -> np.ndarray | float:
-    every = tree if tree.whole is None else tree.whole.tree
-    if tree.whole is None and not any(every.compensated):
+    every = tree if tree.all_joints is None else tree.all_joints.tree
+    if tree.all_joints is None and not any(every.compensated):
         return 0.0
     return mean @ _by_pieces(partial(_given, tree), q, v, a).T
 
@@ -156,7 +156,7 @@ def _known(
 def _given(tree, q, v, a):
     up = dynamics.compensation(tree, q)
     up = 0.0 * q if up is None else up
-    if tree.whole is None:
+    if tree.all_joints is None:
         return up
     return up - dynamics.inverse_dynamics(
         tree, 0.0 * jnp.asarray(tree.inertial), q, v, a, jnp.asarray(tree.gravity)
@@ -280,7 +280,7 @@ def _acted(tree, inertial, effect: Effect, p, q, v, tau, t, pull, u, ahead, widt
 
     answer = effect.apply(p, Motion(q, v, tau, t, gravity, pull, u))
     if isinstance(answer, Dry):
-        rate, more = jnp.asarray(tree.rub).T[..., None]
+        rate, more = jnp.asarray(tree.friction_softness).T[..., None]
         sign = ramp(ahead, width, more * jnp.abs(answer.level) / jnp.maximum(rate, 1e-9))
         return answer.force - answer.level * sign + 0.0 * q
     return answer + 0.0 * q
@@ -290,7 +290,7 @@ def ahead_of(tree: Tree, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """The speed [n, T] that dry friction goes by: that of the joints, or where it gives as it will
     be a time constant on.
     """
-    rate, more = np.asarray(tree.rub, float).T[..., None]
+    rate, more = np.asarray(tree.friction_softness, float).T[..., None]
     return np.where(more > 0.0, v + a / np.maximum(rate, 1e-9), v)
 
 

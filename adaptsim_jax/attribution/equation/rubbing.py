@@ -43,8 +43,8 @@ def rubbing(
     with the softness of its file; part: of a balance, the entries that are always fitted. One law
     holds for all joints, and one joint may show it.
     """
-    rub = np.asarray(tree.rub, float)
-    if not np.any(rub):
+    softness = np.asarray(tree.friction_softness, float)
+    if not np.any(softness):
         return problem, tuple(balances)
     soft = giving(problem, tree)
     other = tuple(given(b, soft) for b in balances)
@@ -66,11 +66,14 @@ def rubbing(
 
 def giving(problem: TreeProblem, tree: Tree) -> TreeProblem:
     """The same with dry friction that gives as the file has it."""
-    rub = np.asarray(tree.rub, float)
+    softness = np.asarray(tree.friction_softness, float)
 
     def of(g):
         return replace(
-            g, model=replace(g.model, tree=replace(g.model.tree, rub=rub[list(g.joints)]))
+            g,
+            model=replace(
+                g.model, tree=replace(g.model.tree, friction_softness=softness[list(g.joints)])
+            ),
         )
 
     return replace(problem, groups=tuple(of(g) for g in problem.groups))
@@ -78,7 +81,7 @@ def giving(problem: TreeProblem, tree: Tree) -> TreeProblem:
 
 def friction_notes(problem: TreeProblem) -> list[str]:
     """That dry friction gives, where it does."""
-    gives = any(np.any(g.model.tree.rub) for g in problem.groups)
+    gives = any(np.any(g.model.tree.friction_softness) for g in problem.groups)
     if gives:
         return [GIVES]
     return []

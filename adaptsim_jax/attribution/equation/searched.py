@@ -164,7 +164,7 @@ class EffectTable:
         """
         if effect.jump or effect.place == "command":
             return given.get(name, 0.01)
-        if not np.any(self.balance.group.model.tree.rub):
+        if not np.any(self.balance.group.model.tree.friction_softness):
             return 1.0
         torque = self.problem.reach.torque[list(self.balance.group.joints)]
         own = self.balance.inertia * np.sqrt(

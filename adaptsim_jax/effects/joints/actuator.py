@@ -22,9 +22,9 @@ def delay(p, t, u):
     """
     duration = _durations(t)
     integral = jnp.concatenate([jnp.zeros_like(u[:1]), jnp.cumsum(u * duration, 0)[:-1]])
-    t, late = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
-    arrived = _integral_at(t, u, integral, late, p["before"] * u[:1])
-    mean = jnp.diff(arrived, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
+    t, shifted_time = jnp.broadcast_arrays(t, t - p["delay"] * jnp.ones_like(u))
+    integral_at_rows = _integral_at(t, u, integral, shifted_time, p["before"] * u[:1])
+    mean = jnp.diff(integral_at_rows, axis=0) / jnp.where(duration > 0, duration, 1.0)[:-1]
     return jnp.concatenate([jnp.where(duration[:-1] > 0, mean, u[:-1]), u[-1:]])
 
 
@@ -49,14 +49,14 @@ def actuator_lag(p, t, u):
     """
     duration = _durations(t) * jnp.ones_like(u)
     lag = jnp.maximum(p["lag"], 1e-9)
-    keep = jnp.exp(-duration / lag)
+    decay = jnp.exp(-duration / lag)
 
     def row(state, now):
-        u, keep = now
-        return u + (state - u) * keep, state
+        u, decay = now
+        return u + (state - u) * decay, state
 
-    _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, keep))
-    share = p["lag"] * (1.0 - keep) / jnp.where(duration > 0, duration, 1.0)
+    _, state = jax.lax.scan(row, (p["before"] * u[:1])[0], (u, decay))
+    share = p["lag"] * (1.0 - decay) / jnp.where(duration > 0, duration, 1.0)
     return u + (state - u) * share
 
 
@@ -81,7 +81,7 @@ def dead_zone_force(p, m):
     return -jnp.clip(m.u, -p["width"], p["width"])
 
 
-def _late(reach, joint):
+def _delays(reach, joint):
     return [{"delay": s} for s in (-0.02, -0.01, -0.004, 0.004, 0.01, 0.02, 0.04)]
 
 
@@ -89,7 +89,7 @@ def lags(reach, joint):
     return [{"lag": s} for s in (0.004, 0.01, 0.025, 0.06)]
 
 
-def _cuts(reach, joint):
+def _limits(reach, joint):
     """Limits from nearly what is exceeded now and then down to a twelfth of it."""
     peak, torque = float(reach.peak[joint]), float(reach.torque[joint])
     return [{"cut": 1.0 - 0.9 * torque * 0.8**k / peak, "peak": peak} for k in range(12)]
@@ -164,8 +164,8 @@ SATURATION = Effect(
     "torques near and below the limit",
     ("torque_gain",),
     jump=True,
-    grid=_cuts,
-    starts=_cuts,
+    grid=_limits,
+    starts=_limits,
     formula="torque within +-(1 - cut) peak",
     traits=Traits(on_actuator=True),
 )
@@ -193,7 +193,7 @@ DELAY = Effect(
     "fast changes of the command",
     ("actuator_lag", "sensor_delay", "sensor_lag"),
     jump=True,
-    grid=_late,
+    grid=_delays,
     formula="command(t - delay)",
     traits=Traits(shared=True, tried_first=1),
     title="command delay",

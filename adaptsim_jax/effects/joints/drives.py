@@ -47,8 +47,8 @@ def drive_compliance(p, t, q, v, first, torque):
     """The encoder is on the motor's side of a drive that winds up. Inertia of the motor beyond the
     spring is not modelled: below the resonance of motor and spring.
     """
-    wound = p["compliance"] * torque
-    return q + wound, v + _rate(wound, t)
+    deflection = p["compliance"] * torque
+    return q + deflection, v + _rate(deflection, t)
 
 
 def drive_play(p, t, q, v, first, torque):
@@ -76,29 +76,29 @@ def _rate(z, t):
     return jnp.concatenate([rate[:1], jnp.where(dt > 0, rate, 0.0), rate[-1:]])
 
 
-def _sides(reach, joint):
+def _play_widths(reach, joint):
     return [{"width": float(reach.torque[joint]) * s} for s in (0.01, 0.05, 0.2)]
 
 
-def _springy(reach, joint, hertz, damping):
+def _resonant_drive(reach, joint, hertz, damping):
     """Compliances and dashpots of drives whose rotor, a third of the joint's inertia, swings so
     fast against the link.
     """
-    swing = 2.0 * np.pi * hertz
+    angular_frequency = 2.0 * np.pi * hertz
     return {
-        "compliance": 4.5 / (float(reach.inertia[joint]) * swing**2),
-        "damping": 2.0 * damping / swing,
+        "compliance": 4.5 / (float(reach.inertia[joint]) * angular_frequency**2),
+        "damping": 2.0 * damping / angular_frequency,
     }
 
 
-def _swings(reach, joint):
-    springs = [_springy(reach, joint, hertz, 0.1) for hertz in (4.0, 6.0, 9.0, 13.0, 20.0)]
+def _elastic_drives(reach, joint):
+    springs = [_resonant_drive(reach, joint, hertz, 0.1) for hertz in (4.0, 6.0, 9.0, 13.0, 20.0)]
     return [z | {"link": link, "control": control} for z in springs for link, control in ENCODERS]
 
 
-def _plays(reach, joint):
+def _backlash_drives(reach, joint):
     spring, span = (
-        _springy(reach, joint, 40.0, 0.3),
+        _resonant_drive(reach, joint, 40.0, 0.3),
         float(reach.q_high[joint] - reach.q_low[joint]),
     )
     gaps = [spring | {"gap": share * span} for share in (0.01, 0.04)]
@@ -137,7 +137,7 @@ DRIVE_PLAY = Effect(
     "torque that changes sign at any speed",
     ("drive_compliance", "backlash", "coulomb"),
     carried=True,
-    grid=_sides,
+    grid=_play_widths,
     formula="reading = q + gap / 2 sign(torque)",
 )
 
@@ -155,7 +155,7 @@ DRIVE_ELASTICITY = Effect(
     "fast changes of the torque",
     ("drive_compliance", "delay", "actuator_lag", "armature"),
     jump=True,
-    grid=_swings,
+    grid=_elastic_drives,
     contains=("drive_compliance",),
     formula="torque on the link = (rotor - link + damping (rotor' - link')) / compliance; of "
     "joints with an armature, the rotor's",
@@ -175,7 +175,7 @@ DRIVE_BACKLASH = Effect(
     "torque that changes sign at any speed",
     ("drive_play", "backlash", "drive_elasticity", "coulomb"),
     jump=True,
-    grid=_plays,
+    grid=_backlash_drives,
     contains=("drive_play",),
     formula="as drive_elasticity beyond gap / 2 to either side, no torque within",
 )

@@ -31,8 +31,8 @@ def hard_stop(p, m):
     It loses energy in proportion to the depth (`loss`; Hunt and Crossley, 1975).
     """
     depth = jnp.maximum(p["side"] * (m.q - p["angle"]), 0.0)
-    pressed = depth * (1.0 + p["loss"] * p["side"] * m.v)
-    return -p["side"] * p["stiffness"] * jnp.maximum(pressed, 0.0)
+    damped_depth = depth * (1.0 + p["loss"] * p["side"] * m.v)
+    return -p["side"] * p["stiffness"] * jnp.maximum(damped_depth, 0.0)
 
 
 def rotor_inertia(p):
@@ -44,11 +44,11 @@ def periodic_disturbance(p, m):
     return p["sine"] * sin + p["cosine"] * cos + 0.0 * m.q
 
 
-def _orders(reach, joint):
+def _order_grid(reach, joint):
     return [{"order": float(k)} for k in range(2, 31)]
 
 
-def _frequencies(reach, joint):
+def _frequency_grid(reach, joint):
     """Half a cycle of a trial apart, so that no frequency between two points goes unseen; at most
     half of Nyquist. In long trials no finer than `FINEST`.
     """
@@ -57,7 +57,7 @@ def _frequencies(reach, joint):
     return [{"frequency": float(f)} for f in np.arange(step, top, step)[:160]]
 
 
-def _ends(reach, joint):
+def _stop_grid(reach, joint):
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
     span = high - low
     upper = [{"angle": high - span * s, "side": 1.0} for s in (0.03, 0.08, 0.15, 0.25, 0.4)]
@@ -69,37 +69,39 @@ def cogging(p, m):
     return sine + p["cosine"] * jnp.cos(p["order"] * m.q)
 
 
-def _before(z):
-    """Of the joint before each, [n, ...]; zero at the first."""
+def _of_joint_before(z):
+    """Return the value of the joint before each, [n, ...]; zero at the first."""
     return jnp.concatenate([jnp.zeros_like(z[:1]), z[:-1]])
 
 
-def _after(z):
-    """Of the joint after each; zero at the last."""
+def _of_joint_after(z):
+    """Return the value of the joint after each; zero at the last."""
     return jnp.concatenate([z[1:], jnp.zeros_like(z[:1])])
 
 
 def torque_coupling(p, m):
-    return p["onto"] * _before(m.u) + _after(p["back"] * m.u)
+    return p["onto"] * _of_joint_before(m.u) + _of_joint_after(p["back"] * m.u)
 
 
 def friction_coupling(p, m):
-    return -p["damping"] * _before(m.v) - _after(p["damping"] * m.v)
+    return -p["damping"] * _of_joint_before(m.v) - _of_joint_after(p["damping"] * m.v)
 
 
-def _stops(reach, joint):
+def _stop_starts(reach, joint):
     """Stops as hard as most are, where the motion ends and a little before. One that is hit hard
     throws the model so far off that a linear score makes it soft and puts it well inside. From
     there no fit finds the way to it.
     """
     low, high = float(reach.q_low[joint]), float(reach.q_high[joint])
-    hard = [
+    offsets_and_stiffnesses = [
         (0.01 * s * (high - low), k * float(reach.torque[joint]))
         for s in range(4)
         for k in (10.0, 30.0)
     ]
-    upper = [{"angle": high - d, "side": 1.0, "stiffness": k} for d, k in hard]
-    return upper + [{"angle": low + d, "side": -1.0, "stiffness": k} for d, k in hard]
+    upper = [{"angle": high - d, "side": 1.0, "stiffness": k} for d, k in offsets_and_stiffnesses]
+    return upper + [
+        {"angle": low + d, "side": -1.0, "stiffness": k} for d, k in offsets_and_stiffnesses
+    ]
 
 
 def _between(p, q):
@@ -141,7 +143,7 @@ def _parameters() -> tuple[Quantity, ...]:
     return (*nodes, *ends)
 
 
-def _range(reach, joint):
+def _motion_range(reach, joint):
     return [{"low": float(reach.q_low[joint]), "high": float(reach.q_high[joint])}]
 
 
@@ -183,7 +185,7 @@ COGGING = Effect(
     "torque ripple periodic in the joint's angle (magnets, gear teeth)",
     "slow sweeps over many periods",
     ("spring",),
-    grid=_orders,
+    grid=_order_grid,
     formula="sine sin(order q) + cosine cos(order q)",
 )
 
@@ -199,7 +201,7 @@ PERIODIC_DISTURBANCE = Effect(
     "a torque periodic in time that starts with each trial: a fan, a neighbouring machine",
     "long trials whose commands leave that frequency free",
     ("cogging",),
-    grid=_frequencies,
+    grid=_frequency_grid,
     formula="sine sin(2 pi frequency t) + cosine cos(2 pi frequency t), t since the trial began",
     traits=Traits(in_balance=False),
 )
@@ -217,8 +219,8 @@ HARD_STOP = Effect(
     "an end stop beyond an angle",
     "motion into the stop, and well inside it",
     ("spring",),
-    grid=_ends,
-    starts=_stops,
+    grid=_stop_grid,
+    starts=_stop_starts,
     formula="-side stiffness max(0, side (q - angle)) (1 + loss depth')",
     traits=Traits(in_balance=False),
 )
@@ -286,7 +288,7 @@ BY_ANGLE: tuple[Effect, ...] = (
         "a torque that depends on the angle in a way of its own (a magnet, a cable, a cam)",
         "slow and fast passes over the whole range",
         ("cogging", "spring", "bias", "hard_stop"),
-        grid=_range,
+        grid=_motion_range,
         describes=True,
         formula=f"linear in q between {NODES} nodes from low to high, constant beyond",
     ),
@@ -298,7 +300,7 @@ BY_ANGLE: tuple[Effect, ...] = (
         "dry friction whose level depends on the angle (a worn spot, a bent shaft)",
         "reversals all over the range",
         ("coulomb", "stribeck", "load_friction", "asymmetric_coulomb"),
-        grid=_range,
+        grid=_motion_range,
         describes=True,
         formula="-level(q) sign(v), level linear between nodes, beside what is there anywhere",
     ),

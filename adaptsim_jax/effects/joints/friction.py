@@ -5,12 +5,12 @@ import jax.numpy as jnp
 from adaptsim_jax.effects.base import Dry, Effect, Motion, Quantity, Traits
 
 
-def speeds(reach, joint):
+def speed_grid(reach, joint):
     top = float(reach.speed[joint])
     return [{"speed": top * s} for s in (0.05, 0.1, 0.2, 0.4)]
 
 
-def decays(reach, joint):
+def decay_grid(reach, joint):
     return [{"decay": reach.duration * s} for s in (0.1, 0.2, 0.4, 1.0)]
 
 
@@ -54,7 +54,7 @@ def presliding(p, m):
     return Dry(0.0 * m.q, yielding=p["compliance"] + 0.0 * m.q)
 
 
-def _bristles(reach, joint):
+def _compliance_grid(reach, joint):
     """Compliances with which friction of a tenth of the torque breaks away after these shares of
     the range of motion.
     """
@@ -122,7 +122,7 @@ STRIBECK = Effect(
     "dry friction that is higher at creeping speed (Bo and Pavelescu, 1982)",
     "long stretches of slow motion beside fast ones",
     ("coulomb", "load_friction"),
-    grid=speeds,
+    grid=speed_grid,
     formula="-excess exp(-(v / speed)^2) sign(v), beside what is there at speed",
     traits=Traits(resists=True),
     title="Stribeck friction",
@@ -137,7 +137,7 @@ PRESLIDING = Effect(
     "many small reversals",
     ("coulomb", "stribeck", "backlash"),
     jump=True,
-    grid=_bristles,
+    grid=_compliance_grid,
     formula="what dry friction there is builds up as deflection / compliance",
     traits=Traits(in_balance=False),
 )
@@ -179,7 +179,7 @@ FRICTION_DRIFT = Effect(
     "friction that changes as the joint warms up within a trial",
     "the same motion early and late in a trial",
     ("coulomb", "quadratic_drag"),
-    grid=decays,
+    grid=decay_grid,
     formula="-(dry sign(v) + viscous v) exp(-t / decay), t since the trial began",
     traits=Traits(in_balance=False),
 )

@@ -22,49 +22,49 @@ def sensor_lag(p, t, q, v, first):
     """
     lag = jnp.maximum(p["lag"], 1e-9)
     duration = jnp.diff(t, axis=0) * jnp.ones_like(q[1:])
-    keep = jnp.exp(-duration / lag)
+    decay = jnp.exp(-duration / lag)
     slope = jnp.diff(v, axis=0) / jnp.where(duration > 0, duration, 1.0)
     slope = jnp.concatenate([slope, slope[-1:]])
-    behind = _behind(v, jnp.where(t[0] > 0, slope[0], 0.0), duration, keep, lag)
-    late = _behind_slope(slope, keep)
-    return q - behind * (p["lag"] / lag), v - p["lag"] * late
+    angle_error = _filter_error(v, jnp.where(t[0] > 0, slope[0], 0.0), duration, decay, lag)
+    slope_lag = _filtered_slope(slope, decay)
+    return q - angle_error * (p["lag"] / lag), v - p["lag"] * slope_lag
 
 
-def _behind(v, slope, duration, keep, lag):
+def _filter_error(v, slope, duration, decay, lag):
     """How far the filtered angle trails, e' = v - e / lag, for a velocity linear over each row."""
-    step = lag * (1.0 - keep)
+    step = lag * (1.0 - decay)
     ramp = jnp.where(duration > 0, lag - lag * step / jnp.where(duration > 0, duration, 1.0), 0.0)
 
-    def row(e, now):
-        v0, v1, keep, step, ramp = now
-        e = e * keep + v0 * step + (v1 - v0) * ramp
-        return e, e
+    def row(error, row_values):
+        v0, v1, decay, step, ramp = row_values
+        error = error * decay + v0 * step + (v1 - v0) * ramp
+        return error, error
 
     first = lag[0] * (v[0] - lag[0] * slope)
-    _, rest = jax.lax.scan(row, first, (v[:-1], v[1:], keep, step, ramp))
-    return jnp.concatenate([first[None], rest])
+    _, errors = jax.lax.scan(row, first, (v[:-1], v[1:], decay, step, ramp))
+    return jnp.concatenate([first[None], errors])
 
 
-def _behind_slope(slope, keep):
+def _filtered_slope(slope, decay):
     """Filtered slope: a relaxation to the slope of each row."""
 
     def row(s, now):
-        target, keep = now
-        s = target + (s - target) * keep
+        target, decay = now
+        s = target + (s - target) * decay
         return s, s
 
-    _, rest = jax.lax.scan(row, slope[0], (slope[:-1], keep))
-    return jnp.concatenate([slope[:1], rest])
+    _, slopes = jax.lax.scan(row, slope[0], (slope[:-1], decay))
+    return jnp.concatenate([slope[:1], slopes])
 
 
-def _turning(t, q, v):
-    """Where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it does
-    not.
+def _turning_angles(t, q, v):
+    """Compute where the motion between rows turns back `[L, n, ...]`; the next row's `q` where it
+    does not.
     """
-    turns = v[:-1] * v[1:] < 0.0
-    slowing = jnp.where(turns, v[:-1] - v[1:], 1.0)
+    is_turning = v[:-1] * v[1:] < 0.0
+    slowing = jnp.where(is_turning, v[:-1] - v[1:], 1.0)
     rest = jnp.diff(t, axis=0) * v[:-1] / slowing
-    return jnp.where(turns, q[:-1] + 0.5 * v[:-1] * rest, q[1:])
+    return jnp.where(is_turning, q[:-1] + 0.5 * v[:-1] * rest, q[1:])
 
 
 def backlash(p, t, q, v, first):
@@ -84,7 +84,7 @@ def backlash(p, t, q, v, first):
         return z, z
 
     first = jnp.clip(first, q[0] - half[0], q[0] + half[0])
-    _, rest = jax.lax.scan(row, first, (_turning(t, q, v), q[1:]))
+    _, rest = jax.lax.scan(row, first, (_turning_angles(t, q, v), q[1:]))
     reading = jnp.concatenate([first[None], rest])
     moving = jnp.abs(reading - q) >= 0.999 * half
     return reading, jnp.where(moving & ((q - reading) * v >= 0), v, 0.0 * v)

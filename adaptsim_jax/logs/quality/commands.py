@@ -20,9 +20,9 @@ def unexplained(tracks: Sequence[Track]) -> float:
     [T, 1]`), `tau [T, 1]` the command. NaN where the motion is too short, or where nothing moves or
     is commanded.
     """
-    if (found := _system(tracks)) is None:
+    if (system := _system(tracks)) is None:
         return float("nan")
-    a, columns, _ = found
+    a, columns, _ = system
     x, *_ = np.linalg.lstsq(columns, a, rcond=1e-9)
     return _share(a - columns @ x, a)
 
@@ -32,25 +32,25 @@ def servo_gain(tracks: Sequence[Track]) -> tuple[float, float, float] | None:
     acceleration that is left; None where the motion is too short. Rows beside one another are not
     independent, which the error allows for.
     """
-    if (found := _system(tracks)) is None:
+    if (system := _system(tracks)) is None:
         return None
-    a, whole, size = found
-    gram = whole.T @ whole + 1e-9 * len(a) * np.eye(whole.shape[1])
-    x = np.linalg.solve(gram, whole.T @ a)
-    left = a - whole @ x
-    free = max(len(a) / COMMAND.alike - whole.shape[1], 1.0)
-    spread = float(np.sum(left**2)) / free / COMMAND.alike
-    error = np.sqrt(spread * COMMAND.alike * np.linalg.inv(gram)[0, 0])
-    return float(x[0] / size[0]), float(error / size[0]), _share(left, a)
+    a, columns, size = system
+    gram = columns.T @ columns + 1e-9 * len(a) * np.eye(columns.shape[1])
+    x = np.linalg.solve(gram, columns.T @ a)
+    residual = a - columns @ x
+    free_rows = max(len(a) / COMMAND.n_correlated_rows - columns.shape[1], 1.0)
+    spread = float(np.sum(residual**2)) / free_rows / COMMAND.n_correlated_rows
+    error = np.sqrt(spread * COMMAND.n_correlated_rows * np.linalg.inv(gram)[0, 0])
+    return float(x[0] / size[0]), float(error / size[0]), _share(residual, a)
 
 
-def against(tracks: Sequence[Track], joint: int) -> bool:
+def pulls_away(tracks: Sequence[Track], joint: int) -> bool:
     """Whether a servo pulls away from its target, which counts against the angle."""
-    found = servo_gain([one(t, joint) for t in drawn(tracks)])
-    if found is None:
+    fit = servo_gain([single_joint(t, joint) for t in evenly_chosen(tracks)])
+    if fit is None:
         return False
-    gain, error, left = found
-    return gain < -COMMAND.gain_errors * error and left < COMMAND.believed
+    gain, error, share = fit
+    return gain < -COMMAND.min_gain_errors * error and share < COMMAND.max_believed_share
 
 
 def _system(tracks: Sequence[Track]) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
@@ -66,9 +66,9 @@ def _system(tracks: Sequence[Track]) -> tuple[np.ndarray, np.ndarray, np.ndarray
     return a, columns / size, size
 
 
-def _share(left: np.ndarray, a: np.ndarray) -> float:
+def _share(residual: np.ndarray, a: np.ndarray) -> float:
     """Share of the square of `a [K]` that is left."""
-    return float(np.sum(left**2) / np.sum((a - a.mean()) ** 2))
+    return float(np.sum(residual**2) / np.sum((a - a.mean()) ** 2))
 
 
 def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
@@ -76,81 +76,92 @@ def _rows(track: Track) -> tuple[np.ndarray, np.ndarray]:
     q, v, a, u, _ = blocks(track, sharp=True)
     q, v, a, u = (x[:, 0] for x in (q, v, a, u))
     table = np.stack([u, q, v, np.sin(q), np.cos(q), np.ones_like(q), a], 1)
-    if len(table) < 2 * COMMAND.smooth:
+    if len(table) < 2 * COMMAND.n_smoothed_blocks:
         return np.zeros(0), np.zeros((0, 6))
     mean = np.stack(
-        [np.convolve(c, np.ones(COMMAND.smooth) / COMMAND.smooth, "valid") for c in table.T], 1
+        [
+            np.convolve(c, np.ones(COMMAND.n_smoothed_blocks) / COMMAND.n_smoothed_blocks, "valid")
+            for c in table.T
+        ],
+        1,
     )
     return mean[:, -1], mean[:, :-1]
 
 
 @dataclass(frozen=True)
 class Exchanged:
-    """Commands by joint: joint `i` moves as the command of `order[i]` says; `left`, `other` [n]:
-    shares left as declared, and so.
+    """Commands by joint: joint `i` moves as the command of `order[i]` says; `share_as_declared`,
+    `share_otherwise` [n]: unexplained shares as declared, and in this order.
     """
 
     order: tuple[int, ...]
-    left: np.ndarray
-    other: np.ndarray
+    share_as_declared: np.ndarray
+    share_otherwise: np.ndarray
 
 
 @dataclass(frozen=True)
-class Cut:
-    """A target that reaches its joint cut: `how` (`rate` in rad/s, or `within` rad of the angle) by
-    `size`, and the shares left.
+class TargetLimit:
+    """A target is limited on its way to its joint: `kind` (`rate` in rad/s, or `within` rad of the
+    angle) and `size` of the limit, and the unexplained shares as declared and with it.
     """
 
-    how: str
+    kind: str
     size: float
-    left: float
-    other: float
+    share_as_declared: float
+    share_otherwise: float
 
 
-def drawn(tracks: Sequence[Track], count: int = COMMAND.trials) -> list[Track]:
-    """Some of the trials, evenly."""
+def evenly_chosen(tracks: Sequence[Track], count: int = COMMAND.max_trials) -> list[Track]:
+    """Choose at most `count` of the trials, evenly."""
     keep = np.unique(np.linspace(0, len(tracks) - 1, min(count, len(tracks))).round().astype(int))
     return [tracks[k] for k in keep]
 
 
-def one(track: Track, joint: int, command: np.ndarray | None = None) -> Track:
-    """One joint of a trial, under its own command or another `[T]`."""
+def single_joint(track: Track, joint: int, command: np.ndarray | None = None) -> Track:
+    """Return one joint of a trial, under its own command or another `[T]`."""
     tau = track.tau[:, joint] if command is None else command
     v = None if track.v is None else track.v[:, joint : joint + 1]
     return Track(track.time, track.q[:, joint : joint + 1], v, tau[:, None])
 
 
-def exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | None:
-    """Which joints' commands look exchanged, of tracks whose torque is the command; None for none.
+def find_exchanged(tracks: Sequence[Track], joints: Sequence[int]) -> Exchanged | None:
+    """Find joints whose commands look exchanged, of tracks whose torque is the command.
 
     Args:
         joints: Those that have one.
     """
-    if not 2 <= len(joints) <= COMMAND.most_joints:
+    if not 2 <= len(joints) <= COMMAND.max_joints:
         return None
-    some = drawn(tracks)
-    left = np.array(
-        [[unexplained([one(t, j, t.tau[:, k]) for t in some]) for k in joints] for j in joints]
+    chosen = evenly_chosen(tracks)
+    shares = np.array(
+        [
+            [unexplained([single_joint(t, j, t.tau[:, k]) for t in chosen]) for k in joints]
+            for j in joints
+        ]
     )
-    if not np.all(np.isfinite(left)):
+    if not np.all(np.isfinite(shares)):
         return None
-    cost = np.log(np.maximum(left, 1e-6))
+    cost = np.log(np.maximum(shares, 1e-6))
     _, order = linear_sum_assignment(cost)
-    moved = np.flatnonzero(order != np.arange(len(joints)))
-    if not len(moved):
+    exchanged_joints = np.flatnonzero(order != np.arange(len(joints)))
+    if not len(exchanged_joints):
         return None
-    own, other = left[moved, moved], left[moved, order[moved]]
+    declared_shares, other_shares = (
+        shares[exchanged_joints, exchanged_joints],
+        shares[exchanged_joints, order[exchanged_joints]],
+    )
     if (
-        np.max(other) > COMMAND.believed
-        or np.mean(np.log(own / np.maximum(other, 1e-6))) < np.log(COMMAND.exchanged)
-        or np.any(own < other)
+        np.max(other_shares) > COMMAND.max_believed_share
+        or np.mean(np.log(declared_shares / np.maximum(other_shares, 1e-6)))
+        < np.log(COMMAND.min_exchange_ratio)
+        or np.any(declared_shares < other_shares)
     ):
         return None
     best = tuple(joints[k] for k in order)
-    return Exchanged(best, np.diag(left), left[np.arange(len(joints)), order])
+    return Exchanged(best, np.diag(shares), shares[np.arange(len(joints)), order])
 
 
-def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
+def detect_target_limit(tracks: Sequence[Track], joint: int, damping: float) -> TargetLimit | None:
     """Whether the target of a servo's joint reached it cut: by a rate, or to within some distance
     of the angle.
 
@@ -158,35 +169,40 @@ def cut(tracks: Sequence[Track], joint: int, damping: float) -> Cut | None:
         damping: Of the servo, over its stiffness, s; a limit of force is another thing, and where
             it explains as much nothing is told.
     """
-    sample = drawn(tracks, COMMAND.cut_trials)
-    some = [_thinned(one(t, joint)) for t in sample if np.all(np.isfinite(t.q[:, joint]))]
-    base = unexplained(some) if some else float("nan")
-    if not base > COMMAND.doubted:
+    sample = evenly_chosen(tracks, COMMAND.max_limit_trials)
+    tracks_thinned = [
+        _thin_rows(single_joint(t, joint)) for t in sample if np.all(np.isfinite(t.q[:, joint]))
+    ]
+    declared_share = unexplained(tracks_thinned) if tracks_thinned else float("nan")
+    if not declared_share > COMMAND.min_doubted_share:
         return None
-    off = np.concatenate([np.abs(t.tau[:, 0] - t.q[:, 0]) for t in some])
-    speeds = np.concatenate([np.abs(_speed(t)) for t in some])
-    read: dict[str, Callable[[Track, float], np.ndarray]] = {
-        "rate": lambda t, size: limited(t.time, t.tau[:, 0], t.q[:, 0], size),
-        "within": lambda t, size: within(t.tau[:, 0], t.q[:, 0], size),
-        "force": lambda t, size: _forced(t, size, damping),
+    offset = np.concatenate([np.abs(t.tau[:, 0] - t.q[:, 0]) for t in tracks_thinned])
+    speeds = np.concatenate([np.abs(_speed(t)) for t in tracks_thinned])
+    limiters: dict[str, Callable[[Track, float], np.ndarray]] = {
+        "rate": lambda t, size: limit_rate(t.time, t.tau[:, 0], t.q[:, 0], size),
+        "within": lambda t, size: limit_distance(t.tau[:, 0], t.q[:, 0], size),
+        "force": lambda t, size: _limit_force(t, size, damping),
     }
     ends = {"rate": np.quantile(speeds, 0.99) * np.array([0.3, 3.0])}
-    ends["within"] = float(off.max()) * np.array([0.01, 0.6])
+    ends["within"] = float(offset.max()) * np.array([0.01, 0.6])
     # of a much damped joint, few rows at it look like a rate's limit
-    ends["force"] = float(off.max()) * np.array([0.01, 1.0])
-    rough = {how: _best(some, read[how], *ends[how], rounds=1)[1] for how in ("rate", "within")}
-    best = min(rough, key=lambda how: rough[how])
-    if rough[best] > COMMAND.cut_coarse * COMMAND.cut * base:
+    ends["force"] = float(offset.max()) * np.array([0.01, 1.0])
+    coarse = {
+        kind: _best_size(tracks_thinned, limiters[kind], *ends[kind], rounds=1)[1]
+        for kind in ("rate", "within")
+    }
+    best = min(coarse, key=lambda kind: coarse[kind])
+    if coarse[best] > COMMAND.coarse_ratio * COMMAND.max_limited_ratio * declared_share:
         return None
-    found = {how: _best(some, read[how], *ends[how]) for how in read}
-    best = min(rough, key=lambda how: found[how][1])
-    size, left = found[best]
+    fine = {kind: _best_size(tracks_thinned, limiters[kind], *ends[kind]) for kind in limiters}
+    best = min(coarse, key=lambda kind: fine[kind][1])
+    size, share = fine[best]
     if (
-        left > min(COMMAND.cut * base, COMMAND.cut_left)
-        or left > COMMAND.cut_distinct * found["force"][1]
+        share > min(COMMAND.max_limited_ratio * declared_share, COMMAND.max_limited_share)
+        or share > COMMAND.max_force_limit_ratio * fine["force"][1]
     ):
         return None
-    return Cut(best, size, base, left)
+    return TargetLimit(best, size, declared_share, share)
 
 
 def other_unit(
@@ -195,15 +211,15 @@ def other_unit(
     """Units of a servo's angle and target, each `[T]` by trial, which follow one another but for
     their size; None where they agree.
     """
-    here = [np.isfinite(a) & np.isfinite(u) for a, u in zip(q, target, strict=True)]
+    is_finite = [np.isfinite(a) & np.isfinite(u) for a, u in zip(q, target, strict=True)]
 
     def centred(trials):
-        used = [x[k] for x, k in zip(trials, here, strict=True) if k.any()]
-        return np.concatenate([x - x.mean() for x in used])
+        finite = [x[k] for x, k in zip(trials, is_finite, strict=True) if k.any()]
+        return np.concatenate([x - x.mean() for x in finite])
 
     a, u = centred(q), centred(target)
     power = float(a @ a) * float(u @ u)
-    if power == 0.0 or float(a @ u) < np.sqrt(COMMAND.follows * power):
+    if power == 0.0 or float(a @ u) < np.sqrt(COMMAND.min_squared_correlation * power):
         return None
     size = float(np.sqrt((a @ a) / (u @ u)))
     if slides:
@@ -211,30 +227,30 @@ def other_unit(
     else:
         units = ({"deg": np.pi / 180, "rev": 2 * np.pi}, "rad")
     for unit, scale in units[0].items():
-        for pair, times in (((units[1], unit), scale), ((unit, units[1]), 1.0 / scale)):
-            if abs(np.log(size / times)) < COMMAND.unit:
-                return pair
+        for units_found, times in (((units[1], unit), scale), ((unit, units[1]), 1.0 / scale)):
+            if abs(np.log(size / times)) < COMMAND.log_unit_tolerance:
+                return units_found
     return None
 
 
-def _thinned(track: Track) -> Track:
-    """Rows of about `cut_row` s: a limit is followed row by row, and acts over many."""
-    k = max(1, round(COMMAND.cut_row / float(np.median(np.diff(track.time)))))
+def _thin_rows(track: Track) -> Track:
+    """Keep rows of about `limit_row_time` s: a limit is followed row by row, and acts over many."""
+    k = max(1, round(COMMAND.limit_row_time / float(np.median(np.diff(track.time)))))
     speed = None if track.v is None else track.v[::k]
     return Track(track.time[::k], track.q[::k], speed, track.tau[::k])
 
 
-def _best(
+def _best_size(
     tracks: Sequence[Track],
-    read: Callable[[Track, float], np.ndarray],
+    limiter: Callable[[Track, float], np.ndarray],
     low: float,
     high: float,
     rounds: int = 3,
 ) -> tuple[float, float]:
-    """The size of a reading that leaves least, and what that is."""
+    """Search the size of a limit that leaves least, and return it with that share."""
 
     def loss(size):
-        return unexplained([one(t, 0, read(t, float(size))) for t in tracks])
+        return unexplained([single_joint(t, 0, limiter(t, float(size))) for t in tracks])
 
     grid = np.geomspace(max(low, 1e-9), max(high, 2e-9), 10)
     for _ in range(rounds):
@@ -251,8 +267,8 @@ def _speed(track: Track) -> np.ndarray:
     return track.v[:, 0]
 
 
-def _forced(track: Track, size: float, damping: float) -> np.ndarray:
-    """The target under which a servo without limits pulls as one does whose force is limited."""
+def _limit_force(track: Track, size: float, damping: float) -> np.ndarray:
+    """Return the target under which a servo without limits pulls as one whose force is limited."""
     q, pulled = track.q[:, 0], damping * _speed(track)
     return np.clip(track.tau[:, 0] - q - pulled, -size, size) + q + pulled
 
@@ -264,35 +280,35 @@ def gains_by_trial(tracks: Sequence[Track], joint: int) -> np.ndarray | None:
     """
     if len(tracks) < COMMAND.min_trials:
         return None
-    fits = [servo_gain([one(t, joint)]) for t in tracks]
+    fits = [servo_gain([single_joint(t, joint)]) for t in tracks]
     if any(fit is None for fit in fits):
         return None
-    gain, error, left = np.array([fit for fit in fits if fit is not None]).T
+    gain, error, share = np.array([fit for fit in fits if fit is not None]).T
     if (
-        np.max(left) > COMMAND.doubted
+        np.max(share) > COMMAND.min_doubted_share
     ):  # something else acts too, as a limit of force in the trials that reach it
         return None
     middle = float(np.median(gain))
-    separate = np.ptp(gain) / max(
+    gain_difference = np.ptp(gain) / max(
         float(np.hypot(error[gain.argmax()], error[gain.argmin()])), 1e-12
     )
     if (
         np.min(gain) <= 0
-        or np.max(gain) / np.min(gain) < COMMAND.gain_ratio
-        or separate < COMMAND.gain_errors
-        or np.max(error / gain) > COMMAND.gain_error
+        or np.max(gain) / np.min(gain) < COMMAND.min_gain_ratio
+        or gain_difference < COMMAND.min_gain_errors
+        or np.max(error / gain) > COMMAND.max_gain_error
     ):
         return None
     return gain / middle
 
 
-def within(target: np.ndarray, q: np.ndarray, most: float) -> np.ndarray:
-    """A target `[T]` that is sent no farther than `most` from where the joint is, `q [T]`."""
-    return q + np.clip(target - q, -most, most)
+def limit_distance(target: np.ndarray, q: np.ndarray, max_distance: float) -> np.ndarray:
+    """Limit a target `[T]` to `max_distance` from where the joint is, `q [T]` (rad or m)."""
+    return q + np.clip(target - q, -max_distance, max_distance)
 
 
-def limited(time: np.ndarray, target: np.ndarray, q: np.ndarray, rate: float) -> np.ndarray:
-    """A target `[T]` at `time [T]` s that is sent by steps of at most `rate` (rad/s or m/s) times
+def limit_rate(time: np.ndarray, target: np.ndarray, q: np.ndarray, rate: float) -> np.ndarray:
+    """Limit a target `[T]` at `time [T]` s, sent by steps of at most `rate` (rad/s or m/s) times
     the time of a row, from where the joint is at first.
     """
     if len(target) < 2:

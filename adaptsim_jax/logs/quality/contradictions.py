@@ -1,5 +1,5 @@
 """Which convention of columns, units or lengths explains a motion that the declared one does not:
-told, never taken.
+reported, never applied.
 
 `contradiction` tries each hypothesis of `hypotheses_of` once (`quality.hypotheses`) and says the
 one that turns most of the torque from unexplained into explained. Nothing is adapted to it.
@@ -22,10 +22,10 @@ from adaptsim_jax.logs.quality.hypotheses import (
     Design,
     Hypothesis,
     Track,
+    hypothesis,
     linear_fit,
     motion_of,
     rubbing,
-    stated,
     unexplained,
 )
 
@@ -67,8 +67,8 @@ class Words:
 class Contradiction:
     """What the motion follows in place of the declared convention.
 
-    - `left`: Share of the torque's square as declared.
-    - `other`: Under the hypothesis.
+    - `share_as_declared`: Share of the torque's square as declared.
+    - `share_otherwise`: Under the hypothesis.
     - `statement`: What looks otherwise.
     - `mend`: What to write.
     """
@@ -76,8 +76,8 @@ class Contradiction:
     name: str
     statement: str
     mend: str
-    left: float
-    other: float
+    share_as_declared: float
+    share_otherwise: float
 
     @property
     def message(self) -> str:
@@ -87,9 +87,10 @@ class Contradiction:
             return f"{100 * x:.1f} %"
 
         return (
-            f"the columns contradict the declared model, which leaves {share(self.left)} of the "
-            f"torque's square unexplained: {self.statement} ({share(self.other)} is left then); "
-            f"{self.mend}"
+            "the columns contradict the declared model, which leaves "
+            f"{share(self.share_as_declared)} of the "
+            f"torque's square unexplained: {self.statement} ({share(self.share_otherwise)} is left "
+            f"then); {self.mend}"
         )
 
 
@@ -97,7 +98,7 @@ def contradiction(
     tracks: Sequence[Track],
     design: Design,
     words: Words,
-    more: Sequence[Hypothesis] = (),
+    others: Sequence[Hypothesis] = (),
     chain: Sequence[int] = (),
     zeros: Sequence[int] = (),
 ) -> Contradiction | None:
@@ -105,24 +106,41 @@ def contradiction(
     where none explains it.
 
     Args:
-        more: Hypotheses of the mechanism itself (lengths, zeros).
+        others: Hypotheses of the mechanism itself (lengths, zeros).
         chain [n]: The joint whose angle a joint's may have been added to, -1 for none.
         zeros: Joints whose zero may be a quarter or half a turn off.
     """
-    asked = (*hypotheses_of(words, chain, zeros), *more)
+    hypotheses = (*hypotheses_of(words, chain, zeros), *others)
     for sharp in (False, True):  # fast motion of few rows is exact in short blocks alone
         motion = motion_of(tracks, sharp=sharp)
-        if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+        if (
+            len(motion.q) < BLOCK.min_blocks
+            or not np.all(np.isfinite(motion.a))
+            or not _is_moving(motion)
+        ):
             return None
-        left = unexplained(motion, design)
-        if left < CONTRADICTION.hardly:
+        share_as_declared = unexplained(motion, design)
+        if share_as_declared < CONTRADICTION.max_share_as_declared:
             return None
-        other, best = _simplest(asked, motion, design)
-        times = CONTRADICTION.times if left >= CONTRADICTION.doubted else CONTRADICTION.clearly
-        if other <= CONTRADICTION.explains and other * times <= left:
-            if left < CONTRADICTION.doubted and best in more and _as_heavy(motion, design):
+        share_otherwise, best = _simplest(hypotheses, motion, design)
+        min_ratio = (
+            CONTRADICTION.min_ratio
+            if share_as_declared >= CONTRADICTION.min_doubted_share
+            else CONTRADICTION.min_clear_ratio
+        )
+        if (
+            share_otherwise <= CONTRADICTION.max_share_otherwise
+            and share_otherwise * min_ratio <= share_as_declared
+        ):
+            if (
+                share_as_declared < CONTRADICTION.min_doubted_share
+                and best in others
+                and _as_heavy(motion, design)
+            ):
                 return None
-            return Contradiction(best.name, best.statement, best.mend, left, other)
+            return Contradiction(
+                best.name, best.statement, best.mend, share_as_declared, share_otherwise
+            )
     return None
 
 
@@ -131,34 +149,40 @@ def other_sides(tracks: Sequence[Track], design: Design) -> dict[int, float]:
     masses; none where that does not explain the motion far better than it is.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < BLOCK.enough or not np.all(np.isfinite(motion.a)) or not _moves(motion):
+    if (
+        len(motion.q) < BLOCK.min_blocks
+        or not np.all(np.isfinite(motion.a))
+        or not _is_moving(motion)
+    ):
         return {}
-    left = unexplained(motion, design)
+    share_as_declared = unexplained(motion, design)
     columns, rubs = design(motion, True), rubbing(motion)
-    most = min(CONTRADICTION.explains, left / CONTRADICTION.times)
+    max_share = min(CONTRADICTION.max_share_otherwise, share_as_declared / CONTRADICTION.min_ratio)
     sizes, n = {}, motion.q.shape[1]
-    for j in range(n if left > CONTRADICTION.doubted else 0):
-        tau, own = motion.tau[:, j], rubs[:, j, 4 * j : 4 * j + 3]
-        own = np.column_stack([columns[:, j, :n].sum(1), motion.a[:, j], own])
-        x = np.linalg.lstsq(own, tau, rcond=1e-9)[0]
-        if np.var(tau - own @ x) > most * np.var(tau):
+    for j in range(n if share_as_declared > CONTRADICTION.min_doubted_share else 0):
+        tau, columns_of_joint = motion.tau[:, j], rubs[:, j, 4 * j : 4 * j + 3]
+        columns_of_joint = np.column_stack(
+            [columns[:, j, :n].sum(1), motion.a[:, j], columns_of_joint]
+        )
+        x = np.linalg.lstsq(columns_of_joint, tau, rcond=1e-9)[0]
+        if np.var(tau - columns_of_joint @ x) > max_share * np.var(tau):
             return {}
-        if x[0] < 0 or abs(np.log(x[0])) > np.log(CONTRADICTION.same_size):
+        if x[0] < 0 or abs(np.log(x[0])) > np.log(CONTRADICTION.max_torque_ratio):
             sizes[j] = float(x[0])
     return sizes
 
 
 def _simplest(
-    asked: Sequence[Hypothesis], motion: BlockMeans, design: Design
+    hypotheses: Sequence[Hypothesis], motion: BlockMeans, design: Design
 ) -> tuple[float, Hypothesis]:
     """The hypothesis that leaves least, and what that is; of two that do alike the first, which is
     the simpler, stands.
     """
-    best = np.inf, asked[0]
-    for h in asked:
-        other = unexplained(h.motion(motion), h.design or design, h.gravity)
-        if other < CONTRADICTION.simpler * best[0]:
-            best = other, h
+    best = np.inf, hypotheses[0]
+    for h in hypotheses:
+        share_otherwise = unexplained(h.motion(motion), h.design or design, h.gravity)
+        if share_otherwise < CONTRADICTION.max_ratio_to_simpler * best[0]:
+            best = share_otherwise, h
     return best
 
 
@@ -167,26 +191,28 @@ def _as_heavy(motion: BlockMeans, design: Design) -> bool:
     lengths that are far off.
     """
     scale = linear_fit(motion, design, first=motion.tau.shape[1]).scale
-    return 1.0 / CONTRADICTION.same_size < scale < CONTRADICTION.same_size
+    return 1.0 / CONTRADICTION.max_torque_ratio < scale < CONTRADICTION.max_torque_ratio
 
 
-def _moves(motion: BlockMeans) -> bool:
-    turning = np.std(motion.q, axis=0) > BLOCK.moving
-    driven = np.std(motion.tau, axis=0) > 1e-9
-    return bool(np.all(turning) and np.any(driven))
+def _is_moving(motion: BlockMeans) -> bool:
+    is_turning = np.std(motion.q, axis=0) > BLOCK.min_motion
+    is_driven = np.std(motion.tau, axis=0) > 1e-9
+    return bool(np.all(is_turning) and np.any(is_driven))
 
 
 def hypotheses_of(
     words: Words, chain: Sequence[int] = (), zeros: Sequence[int] = ()
 ) -> list[Hypothesis]:
-    """Those of the columns, for `n` joints; `chain`, `zeros`: see `contradiction`."""
+    """Make the hypotheses of the columns, for `n` joints; `chain`, `zeros`: see `contradiction`."""
     n = len(words.joints)
     torques = ", ".join(words.tau)
-    pairs = combinations(range(n), 2) if n <= CONTRADICTION.most_swapped else ()
+    pairs = combinations(range(n), 2) if n <= CONTRADICTION.max_swapped_joints else ()
     out = [h for i, j in pairs for h in _swapped(words, i, j)]
     if n > 1:
-        turned = stated("torques_turned", lambda m: replace(m, tau=-m.tau), torques=torques)
-        out.append(turned)
+        torques_turned = hypothesis(
+            "torques_turned", lambda m: replace(m, tau=-m.tau), torques=torques
+        )
+        out.append(torques_turned)
     for j in range(n):
         out += _of_joint(words, j)
     if n > 1 and all(words.hinges):
@@ -194,13 +220,13 @@ def hypotheses_of(
     for j, parent in enumerate(chain):
         if parent >= 0:
             facts = {"first": words.of(j), "absolute": words.absolute(j, parent)}
-            motion = partial(_relative, j=j, parent=parent)
-            out.append(stated("absolute_angle", motion, **facts))
+            motion = partial(_relative_angle, j=j, parent=parent)
+            out.append(hypothesis("absolute_angle", motion, **facts))
     for j in zeros:
         for radians, turn in TURNS:
-            moved = partial(_moved, by=np.where(np.arange(n) == j, radians, 0.0))
-            out.append(stated("zero", moved, first=words.of(j), turn=turn, radians=radians))
-    out.append(replace(stated("gravity_missing", torques=torques), gravity=False))
+            shifted = partial(_shift_zero, by=np.where(np.arange(n) == j, radians, 0.0))
+            out.append(hypothesis("zero", shifted, first=words.of(j), turn=turn, radians=radians))
+    out.append(replace(hypothesis("gravity_missing", torques=torques), gravity=False))
     return out
 
 
@@ -216,9 +242,9 @@ def _swapped(words: Words, i: int, j: int) -> list[Hypothesis]:
         "swap": words.swap,
     }
     return [
-        stated("joints_swapped", _ordered(order, order), **facts),
-        stated("torques_swapped", _ordered(own, order), **facts),
-        stated("angles_swapped", _ordered(order, own), **facts),
+        hypothesis("joints_swapped", _ordered(order, order), **facts),
+        hypothesis("torques_swapped", _ordered(own, order), **facts),
+        hypothesis("angles_swapped", _ordered(order, own), **facts),
     ]
 
 
@@ -234,12 +260,12 @@ def _of_joint(words: Words, j: int) -> list[Hypothesis]:
         return replace(m, tau=m.tau * own(factor))
 
     out = [
-        stated("torque_turned", partial(scaled, -1.0), **facts),
-        stated("angle_turned", lambda m: _scaled(m, own(-1.0)), **facts),
-        stated("joint_reversed", lambda m: scaled(-1.0, _scaled(m, own(-1.0))), **facts),
+        hypothesis("torque_turned", partial(scaled, -1.0), **facts),
+        hypothesis("angle_turned", lambda m: _scaled(m, own(-1.0)), **facts),
+        hypothesis("joint_reversed", lambda m: scaled(-1.0, _scaled(m, own(-1.0))), **facts),
     ]
     if n > 1:
-        out.append(stated("torque_unit", partial(scaled, 1e-3), **facts))
+        out.append(hypothesis("torque_unit", partial(scaled, 1e-3), **facts))
     if words.hinges[j]:
         out += _units(f"{words.q[j]} looks to be", words.q[j], own)
     return out
@@ -255,7 +281,7 @@ def _units(what: str, key: str, factors: Callable[[float], np.ndarray]) -> list[
     """
 
     def each(code: str, factor: float) -> Hypothesis:
-        return stated(code, lambda m: _scaled(m, factors(factor)), what=what, key=key)
+        return hypothesis(code, lambda m: _scaled(m, factors(factor)), what=what, key=key)
 
     return [
         each("degrees", np.pi / 180.0),
@@ -272,11 +298,11 @@ def _scaled(m: BlockMeans, size: np.ndarray) -> BlockMeans:
     return replace(m, q=m.q * size, v=m.v * size, a=m.a * size)
 
 
-def _moved(m: BlockMeans, by: np.ndarray) -> BlockMeans:
+def _shift_zero(m: BlockMeans, by: np.ndarray) -> BlockMeans:
     return replace(m, q=m.q + by)
 
 
-def _relative(m: BlockMeans, j: int, parent: int) -> BlockMeans:
+def _relative_angle(m: BlockMeans, j: int, parent: int) -> BlockMeans:
     def less(x: np.ndarray) -> np.ndarray:
         out = x.copy()
         out[:, j] -= x[:, parent]
@@ -292,35 +318,36 @@ class Late:
     """
 
     seconds: float
-    left: float
-    other: float
+    share_as_declared: float
+    share_otherwise: float
 
 
 def lateness(tracks: Sequence[Track], design: Design) -> Late | None:
-    """By how much the torque is out of step with the motion, all joints alike; None where it is
-    not, or where that cannot be told.
+    """Estimate by how much the torque is out of step with the motion, all joints alike; None where
+    it is not, or where that cannot be told.
     """
     motion = motion_of(tracks)
-    if len(motion.q) < BLOCK.enough or not _moves(motion):
+    if len(motion.q) < BLOCK.min_blocks or not _is_moving(motion):
         return None
-    left = unexplained(motion, design)
+    share_as_declared = unexplained(motion, design)
     coarse = SHIFTS[::3]
     scores = [unexplained(motion_of(tracks, s), design) for s in coarse]
     k = int(np.argmin(scores))
     fine = coarse[k] + np.arange(-3, 4) * 1e-3
-    found = [unexplained(motion_of(tracks, s), design) for s in fine]
-    i = int(np.argmin(found))
+    shares = [unexplained(motion_of(tracks, s), design) for s in fine]
+    i = int(np.argmin(shares))
     best = fine[i]
     if 0 < i < len(fine) - 1:
-        a, b, c = found[i - 1 : i + 2]
+        a, b, c = shares[i - 1 : i + 2]
         best += 0.5e-3 * (a - c) / max(a - 2 * b + c, 1e-15)
     if (
-        found[i] > min(CONTRADICTION.late_left * left, CONTRADICTION.doubted)
+        shares[i]
+        > min(CONTRADICTION.max_shifted_ratio * share_as_declared, CONTRADICTION.min_doubted_share)
         or abs(best) < CONTRADICTION.min_shift
         or k in (0, len(coarse) - 1)
     ):
         return None
-    return Late(float(best), left, float(found[i]))
+    return Late(float(best), share_as_declared, float(shares[i]))
 
 
 def late_finding(
@@ -331,7 +358,7 @@ def late_finding(
     then a warning too. `step` s between rows.
     """
     ms, names = f"{1e3 * abs(late.seconds):.2g} ms", ", ".join(columns)
-    if late.seconds > CONTRADICTION.ahead_rows * step:
+    if late.seconds > CONTRADICTION.min_ahead_rows * step:
         count = f"{late.seconds / step:.1f}".removesuffix(".0")
         rows = "1 row" if count == "1" else f"{count} rows"
         what = (

@@ -89,18 +89,18 @@ class Audit:
         for f in self.findings:
             if f.severity == "warn":
                 groups.setdefault((f.kind, f.where if f.kind != "gap" else ""), []).append(f)
-        for (_, where), found in groups.items():
-            first = found[0]
+        for (_, where), group in groups.items():
+            first = group[0]
             place = f"{first.trial}: " if first.trial else ""
-            if len(found) > 1:
-                more = f" (and so in {len(found) - 1} more trial{'s' if len(found) > 2 else ''})"
+            if len(group) > 1:
+                others = f" (and so in {len(group) - 1} more trial{'s' if len(group) > 2 else ''})"
             else:
-                more = ""
+                others = ""
             if not where or first.message.startswith(where) or where in first.message:
-                own = ""
+                channel = ""
             else:
-                own = f"{where} "
-            lines.append(f"{place}{own}{first.message}{more}")
+                channel = f"{where} "
+            lines.append(f"{place}{channel}{first.message}{others}")
         return lines
 
     @property
@@ -115,16 +115,16 @@ class Audit:
     @property
     def rows(self) -> list[dict[str, str]]:
         """The findings as a page shows them; what is only information once for all trials."""
-        out, known = [], {}
+        out, shown = [], {}
         for f in self.findings:
             where = f"{f.trial} {f.where}".strip()
-            if f.severity == "info" and (f.kind, f.where) in known:
-                known[f.kind, f.where].append(f.trial)
+            if f.severity == "info" and (f.kind, f.where) in shown:
+                shown[f.kind, f.where].append(f.trial)
                 continue
             row = {"severity": f.severity, "where": where, "message": f.message}
             if f.severity == "info":
-                known[f.kind, f.where] = []
-            out.append((row, known.get((f.kind, f.where), [])))
+                shown[f.kind, f.where] = []
+            out.append((row, shown.get((f.kind, f.where), [])))
         for row, others in out:
             if row["severity"] == "info" and others:
                 row["message"] += f" (and so in {len(others)} more)"

@@ -20,7 +20,7 @@ def holes(trials: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[n
     found = []
     for time, q, others in trials:
         steps = np.diff(time)
-        if np.ptp(steps) > JITTER.even * float(np.median(steps)):
+        if np.ptp(steps) > JITTER.max_uneven_share * float(np.median(steps)):
             return None
         missing, moving = np.zeros(len(q) - 1, int), _moving(q)
         if len(q) >= HOLE.min_rows and moving.shape[1]:
@@ -33,36 +33,38 @@ def holes(trials: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[n
 
 def _moving(x: np.ndarray) -> np.ndarray:
     """Columns of `x [T, n]` that are whole and move."""
-    whole = x[:, np.all(np.isfinite(x), axis=0)]
-    return whole[:, np.ptp(whole, axis=0) > 0]
+    complete = x[:, np.all(np.isfinite(x), axis=0)]
+    return complete[:, np.ptp(complete, axis=0) > 0]
 
 
 def _missing(q: np.ndarray, others: np.ndarray) -> np.ndarray:
     """Rows missing after each row `[T - 1]`, where angles `q [T, n]` jump: the most evident first,
     so that those beside it are judged by the times that it leaves.
     """
-    rows, every = np.arange(2, len(q) - 3), np.concatenate([q, others], 1)
+    rows, channels = np.arange(2, len(q) - 3), np.concatenate([q, others], 1)
     place = np.arange(len(q), dtype=float)
-    out = np.zeros(len(q) - 1, int)
-    windows = np.lib.stride_tricks.sliding_window_view(every, len(AROUND), axis=0)
-    left = np.sum((windows @ _misses(place[rows[:1, None] + AROUND])[0]) ** 2, axis=2)
-    least = [max(encoder_step(x), HOLE.least * np.ptp(x)) ** 2 for x in every.T]
-    noise = np.maximum(np.median(left, axis=0), least)
-    scaled = every / np.sqrt(noise)
-    doubted = rows[np.max((left / noise)[:, : q.shape[1]], axis=1) > HOLE.doubted]
-    gain, count = np.zeros(len(doubted)), np.zeros(len(doubted), int)
-    asked = np.arange(len(doubted))
-    while len(doubted):
-        if len(asked):
-            gain[asked], count[asked] = _gains(place, scaled, doubted[asked], q.shape[1])
+    n_missing = np.zeros(len(q) - 1, int)
+    windows = np.lib.stride_tricks.sliding_window_view(channels, len(AROUND), axis=0)
+    cubic_residual = np.sum((windows @ _misses(place[rows[:1, None] + AROUND])[0]) ** 2, axis=2)
+    min_noise = [max(encoder_step(x), HOLE.min_noise_share * np.ptp(x)) ** 2 for x in channels.T]
+    noise = np.maximum(np.median(cubic_residual, axis=0), min_noise)
+    scaled = channels / np.sqrt(noise)
+    suspects = rows[
+        np.max((cubic_residual / noise)[:, : q.shape[1]], axis=1) > HOLE.min_residual_ratio
+    ]
+    gain, count = np.zeros(len(suspects)), np.zeros(len(suspects), int)
+    to_score = np.arange(len(suspects))
+    while len(suspects):
+        if len(to_score):
+            gain[to_score], count[to_score] = _gains(place, scaled, suspects[to_score], q.shape[1])
         k = int(np.argmax(gain))
-        if gain[k] < np.log(HOLE.clear):
+        if gain[k] < np.log(HOLE.min_gain):
             break
-        out[doubted[k]], gain[k] = count[k], -np.inf
-        place[doubted[k] + 1 :] += count[k]
-        near = np.abs(doubted - doubted[k]) < len(AROUND)
-        asked = np.flatnonzero(near & (out[doubted] == 0))
-    return out
+        n_missing[suspects[k]], gain[k] = count[k], -np.inf
+        place[suspects[k] + 1 :] += count[k]
+        is_near = np.abs(suspects - suspects[k]) < len(AROUND)
+        to_score = np.flatnonzero(is_near & (n_missing[suspects] == 0))
+    return n_missing
 
 
 def _gains(
@@ -76,24 +78,24 @@ def _gains(
     score = np.stack(
         [
             _surprise(_misses(times + m * (AROUND > 0)) @ scaled[beside])
-            for m in range(HOLE.longest + 2)
+            for m in range(HOLE.max_rows + 2)
         ]
     )
     score[1:][~_passed(scaled[beside][:, :, :joints])] = np.inf
     count = 1 + np.argmin(score[1:], axis=0)
     gain = score[0] - np.min(score[1:], axis=0)
-    none = (count > HOLE.longest) | _stepped(scaled[beside][:, :, joints:])
-    return np.where(none, -np.inf, gain), count
+    is_none = (count > HOLE.max_rows) | _stepped(scaled[beside][:, :, joints:])
+    return np.where(is_none, -np.inf, gain), count
 
 
 def _stepped(x: np.ndarray) -> np.ndarray:
     """Whether a target of `x [K, 6, m]` stands, steps and stands: what joints then do tells of no
     missing row.
     """
-    way = np.abs(np.diff(x, axis=1))
-    most = np.max(way, axis=1)
-    steps = np.count_nonzero(way > 1e-9 * most[:, None], axis=1)
-    return np.any((steps == 1) & (most > HOLE.slow), axis=1)
+    steps_size = np.abs(np.diff(x, axis=1))
+    largest = np.max(steps_size, axis=1)
+    steps = np.count_nonzero(steps_size > 1e-9 * largest[:, None], axis=1)
+    return np.any((steps == 1) & (largest > HOLE.speed_tolerance), axis=1)
 
 
 def _passed(q: np.ndarray) -> np.ndarray:
@@ -103,11 +105,11 @@ def _passed(q: np.ndarray) -> np.ndarray:
     """
     before, after = q[:, 2] - q[:, 1], q[:, 4] - q[:, 3]
     fastest = np.maximum(np.abs(before), np.abs(after))
-    wide = np.abs(after - before) + 0.5 * fastest + HOLE.slow
+    wide = np.abs(after - before) + 0.5 * fastest + HOLE.speed_tolerance
     low, high = np.minimum(before, after) - wide, np.maximum(before, after) + wide
-    rows = 2 + np.arange(HOLE.longest + 1)[:, None, None]
+    rows = 2 + np.arange(HOLE.max_rows + 1)[:, None, None]
     jump = q[:, 3] - q[:, 2]
-    leaps = np.any(np.abs(jump) > HOLE.leap * fastest + HOLE.slow, axis=1)
+    leaps = np.any(np.abs(jump) > HOLE.min_leap_ratio * fastest + HOLE.speed_tolerance, axis=1)
     return leaps & np.all((low < jump / rows) & (jump / rows < high), axis=2)
 
 

@@ -69,25 +69,25 @@ class Hypothesis:
     gravity: bool = True
 
 
-def stated(
+def hypothesis(
     code: str,
     motion: Callable[[BlockMeans], BlockMeans] = as_logged,
     design: Design | None = None,
     **facts: Any,
 ) -> Hypothesis:
-    """A hypothesis in the words of its code (`words.toml`), which name the `facts`."""
+    """Make a hypothesis with the words of its code (`words.toml`), which name the `facts`."""
     words = WORDS["hypothesis"][code]
     texts = (words[key].format(**facts) for key in ("statement", "mend"))
     return Hypothesis(code, *texts, motion=motion, design=design)
 
 
 def motion_of(tracks: Sequence[Track], shift: float = 0.0, sharp: bool = False) -> BlockMeans:
-    """Block means of all trials, with the torque of `shift` s later taken to act."""
+    """Compute block means of all trials, with the torque of `shift` s later taken to act."""
     parts = [blocks(t, shift, sharp) for t in tracks]
     joined = [np.concatenate([p[k] for p in parts]) for k in range(4)]
     if len(joined[0]):
         keep = np.unique(
-            np.linspace(0, len(joined[0]) - 1, min(BLOCK.most, len(joined[0]))).astype(int)
+            np.linspace(0, len(joined[0]) - 1, min(BLOCK.max_blocks, len(joined[0]))).astype(int)
         )
     else:
         keep = []
@@ -102,12 +102,12 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
         sharp: Short blocks, with accelerations from the speeds at their ends: exact where motion is
             fast, and as rough as the sensors.
     """
-    track = _read(track)
+    track = _complete_rows(track)
     time, n = track.time, track.q.shape[1]
     if len(time) < BLOCK.min_count:
         return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
     step = float(np.median(np.diff(time)))
-    size = max(BLOCK.sharp, step) if sharp else max(BLOCK.mean, BLOCK.min_rows * step)
+    size = max(BLOCK.sharp_length, step) if sharp else max(BLOCK.length, BLOCK.min_rows * step)
     edges = np.arange(time[0] + BLOCK.edge, time[-1] - BLOCK.edge, size)
     if len(edges) < 8:
         return *(np.zeros((0, n)),) * 4, np.zeros(0, int)
@@ -116,31 +116,31 @@ def blocks(track: Track, shift: float = 0.0, sharp: bool = False) -> tuple[np.nd
         v = np.gradient(q, size, axis=0)
     else:
         v = _means(time, track.v, edges)
-    a = _between(track, q, edges) if sharp else np.gradient(v, size, axis=0)
+    a = _mean_accelerations(track, q, edges) if sharp else np.gradient(v, size, axis=0)
     impulses = np.diff(time)[:, None] * track.tau[:-1]
     held = np.concatenate([np.zeros((1, n)), np.cumsum(impulses, axis=0)])
     at_edges = (np.interp(edges + shift, time, held[:, j]) for j in range(n))
     tau = np.stack([np.diff(impulse) / size for impulse in at_edges], 1)
     # a hole within or beside a block says nothing of it
-    gap = np.flatnonzero(np.diff(time) > BLOCK.gap * step)
-    whole = np.ones(len(edges) - 1, bool)
+    gap = np.flatnonzero(np.diff(time) > BLOCK.max_gap_rows * step)
+    is_clear = np.ones(len(edges) - 1, bool)
     for g in gap:
         before = edges[1:] + 2 * size < time[g]
         after = edges[:-1] - 2 * size > time[g + 1]
-        whole &= before | after
-    whole[[0, -1]] = False
-    return q[whole], v[whole], a[whole], tau[whole], np.flatnonzero(whole)
+        is_clear &= before | after
+    is_clear[[0, -1]] = False
+    return q[is_clear], v[is_clear], a[is_clear], tau[is_clear], np.flatnonzero(is_clear)
 
 
-def _read(track: Track) -> Track:
-    """The rows in which nothing is missing."""
+def _complete_rows(track: Track) -> Track:
+    """Return the rows in which nothing is missing."""
     parts = [x for x in (track.q, track.v, track.tau) if x is not None]
-    here = np.all(np.isfinite(np.concatenate(parts, 1)), 1)
-    v = None if track.v is None else track.v[here]
-    return Track(track.time[here], track.q[here], v, track.tau[here])
+    is_complete = np.all(np.isfinite(np.concatenate(parts, 1)), 1)
+    v = None if track.v is None else track.v[is_complete]
+    return Track(track.time[is_complete], track.q[is_complete], v, track.tau[is_complete])
 
 
-def _between(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _mean_accelerations(track: Track, q: np.ndarray, edges: np.ndarray) -> np.ndarray:
     """Mean accelerations `[K, n]` of blocks from the speeds at their ends, which are differences of
     `q` where none were logged.
     """
@@ -160,12 +160,12 @@ def _means(time: np.ndarray, x: np.ndarray, edges: np.ndarray) -> np.ndarray:
     areas = 0.5 * np.diff(time)[:, None] * (x[1:] + x[:-1])
     area = np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(areas, axis=0)])
     size = np.diff(edges)
-    fine = [np.interp(edges, time, x[:, j]) for j in range(x.shape[1])]
+    at_edges = [np.interp(edges, time, x[:, j]) for j in range(x.shape[1])]
     out = []
-    for j, at in enumerate(fine):
+    for j, at in enumerate(at_edges):
         i = np.clip(np.searchsorted(time, edges, side="right") - 1, 0, len(time) - 2)
-        whole = area[i, j] + 0.5 * (edges - time[i]) * (x[i, j] + at)
-        out.append(np.diff(whole) / size)
+        area_to_edge = area[i, j] + 0.5 * (edges - time[i]) * (x[i, j] + at)
+        out.append(np.diff(area_to_edge) / size)
     return np.stack(out, 1)
 
 
@@ -174,35 +174,35 @@ def rubbing(motion: BlockMeans) -> np.ndarray:
     sign.
     """
     k, n = motion.q.shape
-    loud = np.maximum(BLOCK.slow * np.max(np.abs(motion.v), axis=0), 1e-9)
+    speed_scale = np.maximum(BLOCK.slow_share * np.max(np.abs(motion.v), axis=0), 1e-9)
     joints = np.zeros((k, n, 4 * n))
     for j in range(n):
         joints[:, j, 4 * j] = motion.v[:, j]
-        joints[:, j, 4 * j + 1] = np.tanh(motion.v[:, j] / loud[j])
+        joints[:, j, 4 * j + 1] = np.tanh(motion.v[:, j] / speed_scale[j])
         joints[:, j, 4 * j + 2], joints[:, j, 4 * j + 3] = 1.0, -1.0
     return joints
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """`left`: share of the torque's square that the best parameters leave; `scale`: how many times
-    larger the torque of the first columns is than with a parameter of 1 for each.
+    """`unexplained_share`: share of the torque's square that the best parameters leave; `scale`:
+    how many times larger the torque of the first columns is than with a parameter of 1 for each.
     """
 
-    left: float
+    unexplained_share: float
     scale: float
 
 
 def unexplained(motion: BlockMeans, design: Design, gravity: bool = True) -> float:
     """Share of the torque's square that the best parameters leave, the joints weighed alike."""
-    return linear_fit(motion, design, gravity).left
+    return linear_fit(motion, design, gravity).unexplained_share
 
 
 def linear_fit(
     motion: BlockMeans, design: Design, gravity: bool = True, first: int = 0
 ) -> LinearFit:
-    """The best parameters that are at least 0, the joints weighed alike. One without a drive as the
-    others in the middle.
+    """Fit parameters that are at least 0, the joints weighed alike; one without a drive as the
+    median of the others.
 
     Args:
         first: Columns of the design whose scale is asked for (0: all).
@@ -210,8 +210,10 @@ def linear_fit(
     k, n = motion.q.shape
     columns, joints = design(motion, gravity), rubbing(motion)
     spread = np.std(motion.tau, axis=0)
-    driven = spread > 1e-9 * max(float(spread.max()), 1e-12)
-    weight = 1.0 / np.where(driven, spread, np.median(spread[driven]) if driven.any() else 1.0)
+    is_driven = spread > 1e-9 * max(float(spread.max()), 1e-12)
+    weight = 1.0 / np.where(
+        is_driven, spread, np.median(spread[is_driven]) if is_driven.any() else 1.0
+    )
     a = (np.concatenate([columns, joints], 2) * weight[None, :, None]).reshape(k * n, -1)
     b = (motion.tau * weight).reshape(-1)
     size = np.maximum(np.sqrt(np.mean(a**2, axis=0)), 1e-12)
@@ -220,7 +222,7 @@ def linear_fit(
     root = np.linalg.cholesky(gram + 1e-9 * np.trace(gram) / len(gram) * np.eye(len(gram)))
     x, _ = nnls(root.T, np.linalg.solve(root, right))
     total = float(np.sum((b - np.mean(b)) ** 2))
-    own = slice(0, first or columns.shape[2])
-    as_is, found = a[:, own].sum(1), (a / size)[:, own] @ x[own]
-    scale = float(as_is @ found / max(float(as_is @ as_is), 1e-300))
+    rigid = slice(0, first or columns.shape[2])
+    declared, fitted = a[:, rigid].sum(1), (a / size)[:, rigid] @ x[rigid]
+    scale = float(declared @ fitted / max(float(declared @ declared), 1e-300))
     return LinearFit(float(np.sum((b - (a / size) @ x) ** 2) / max(total, 1e-12)), scale)

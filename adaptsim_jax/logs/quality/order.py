@@ -33,34 +33,38 @@ def other_order(
             can have a target.
     """
 
-    def left(order: Order) -> float:
+    def unexplained_share(order: Order) -> float:
         if any(driven[j] != driven[k] for j, k in enumerate(order)):
             return np.inf
         return unexplained(motion_of(tracks(order), sharp=True), design)
 
-    own = tuple(range(len(orders[0])))
-    motion = motion_of(tracks(own), sharp=True)
-    if len(motion.q) < BLOCK.enough or np.min(np.std(motion.q, axis=0)) < BLOCK.moving:
+    model_order = tuple(range(len(orders[0])))
+    motion = motion_of(tracks(model_order), sharp=True)
+    if len(motion.q) < BLOCK.min_blocks or np.min(np.std(motion.q, axis=0)) < BLOCK.min_motion:
         return None
-    declared = left(own)
-    if not declared > CONTRADICTION.hardly:
+    declared = unexplained_share(model_order)
+    if not declared > CONTRADICTION.max_share_as_declared:
         return None
-    best = min((left(order), order) for order in orders)
-    best = min(best, (declared, own))
-    while (found := min((left(o), o) for o in _exchanged(best[1]))) < best:
-        if found[0] > CONTRADICTION.simpler * best[0]:
+    best = min((unexplained_share(order), order) for order in orders)
+    best = min(best, (declared, model_order))
+    while (exchanged := min((unexplained_share(o), o) for o in _with_exchange(best[1]))) < best:
+        if exchanged[0] > CONTRADICTION.max_ratio_to_simpler * best[0]:
             break
-        best = found
-    least = CONTRADICTION.times if declared >= CONTRADICTION.doubted else CONTRADICTION.clearly
-    if best[0] <= CONTRADICTION.explains and best[0] * least <= declared:
+        best = exchanged
+    min_ratio = (
+        CONTRADICTION.min_ratio
+        if declared >= CONTRADICTION.min_doubted_share
+        else CONTRADICTION.min_clear_ratio
+    )
+    if best[0] <= CONTRADICTION.max_share_otherwise and best[0] * min_ratio <= declared:
         return declared, *best
     return None
 
 
-def _exchanged(order: Order) -> Iterator[Order]:
+def _with_exchange(order: Order) -> Iterator[Order]:
     """All orders in which two joints are exchanged; itself where these are too many."""
     yield order
-    if len(order) <= CONTRADICTION.most_swapped:
+    if len(order) <= CONTRADICTION.max_swapped_joints:
         for i, j in combinations(range(len(order)), 2):
             swapped = list(order)
             swapped[i], swapped[j] = order[j], order[i]
@@ -91,16 +95,16 @@ def check_order(
     """
     if len(names) < 2:
         return
-    found = other_order(tracks, design, usual_orders(parents, names), driven)
-    if found is None:
+    order_found = other_order(tracks, design, usual_orders(parents, names), driven)
+    if order_found is None:
         return
-    left, other, order = found
-    there = ", ".join(names[j] for j in np.argsort(order))
+    share_as_declared, share_otherwise, order = order_found
+    names_there = ", ".join(names[j] for j in np.argsort(order))
     places = {s: ", ".join(f'"{s}[{k}]"' for k in order) for s in stems}
-    lines = " and ".join(f"{stem} = [{own}]" for stem, own in places.items())
+    lines = " and ".join(f"{stem} = [{place_text}]" for stem, place_text in places.items())
     raise BadInput(
-        f"{path}: {' and '.join(stems)} look to be in the order {there} (which leaves "
-        f"{100 * other:.2g} % of the torque's square unexplained, the model's order "
-        f"{100 * left:.2g} %); write {lines} under [columns] in meta.toml where they are "
-        f"arrays, or exchange the names of columns; {AS_DECLARED}"
+        f"{path}: {' and '.join(stems)} look to be in the order {names_there} (which leaves "
+        f"{100 * share_otherwise:.2g} % of the torque's square unexplained, the model's order "
+        f"{100 * share_as_declared:.2g} %); write {lines} under [columns] in meta.toml where they "
+        f"are arrays, or exchange the names of columns; {AS_DECLARED}"
     )

@@ -19,8 +19,8 @@ from adaptsim_jax.logs.quality.contradictions import (
     lateness,
 )
 from adaptsim_jax.logs.quality.findings import AuditFinding, finding
-from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, stated
-from adaptsim_jax.logs.quality.trials_differ import Differ, trials_differ
+from adaptsim_jax.logs.quality.hypotheses import BlockMeans, Design, Hypothesis, Track, hypothesis
+from adaptsim_jax.logs.quality.trials_differ import TrialDifferences, trials_differ
 
 FACTORS = {1e-3: "millimetres", 1e-2: "centimetres", 1e-1: None, 10.0: None, 1e3: "kilometres"}
 WORDS = Words(
@@ -81,7 +81,7 @@ def tracks_of(log: Log) -> list[Track]:
     return [Track(t.time, t.q, t.v, torques(log, t)) for t in log.trials]
 
 
-def of_rig(log: Log) -> tuple[list[Track], Design] | None:
+def tracks_and_design(log: Log) -> tuple[list[Track], Design] | None:
     """Tracks and design of a log of two driven links; None where the linear fit cannot judge it."""
     rig = log.meta.rig
     if rig is None or rig.model != "rigid_body" or "l1" not in rig.geometry or rig.model_file:
@@ -113,51 +113,53 @@ def _alternatives(rig: Rig) -> list[Hypothesis]:
             "right": f"{factor * l1:g}",
             "unit": f" (was it given in {unit}?)" if unit else "",
         }
-        out.append(stated("length", design=design(factor * l1, g, down), **facts))
-    if abs(g - GRAVITY) > UNIT.gravity * GRAVITY:
-        out.append(stated("gravity", design=design(l1, GRAVITY, down), g=g, earth=GRAVITY))
+        out.append(hypothesis("length", design=design(factor * l1, g, down), **facts))
+    if abs(g - GRAVITY) > UNIT.gravity_tolerance * GRAVITY:
+        out.append(hypothesis("gravity", design=design(l1, GRAVITY, down), g=g, earth=GRAVITY))
     other = "upright" if down > 0 else "hanging"
-    out.append(stated("angle_zero", design=design(l1, g, -down), other=other))
+    out.append(hypothesis("angle_zero", design=design(l1, g, -down), other=other))
     return out
 
 
-def pendulum_trials(log: Log) -> Differ | None:
+def pendulum_trials(log: Log) -> TrialDifferences | None:
     """See `trials_differ.trials_differ`."""
-    if (found := of_rig(log)) is None:
+    if (rig := tracks_and_design(log)) is None:
         return None
-    return trials_differ([t.name for t in log.trials], *found)
+    return trials_differ([t.name for t in log.trials], *rig)
 
 
 def check_conventions(log: Log) -> tuple[AuditFinding, ...]:
     """What the motion says of the declared columns. Raises BadInput where it contradicts them, with
     what to write instead.
     """
-    reported = _resting(log)
-    if (found := of_rig(log)) is None:
-        return reported
+    findings = _rest_findings(log)
+    if (rig := tracks_and_design(log)) is None:
+        return findings
     assert log.meta.rig is not None  # see `of_rig`
-    more = _alternatives(log.meta.rig)
-    if other := contradiction(*found, WORDS, more, chain=(-1, 0), zeros=(1,)):
+    alternatives = _alternatives(log.meta.rig)
+    if other := contradiction(*rig, WORDS, alternatives, chain=(-1, 0), zeros=(1,)):
         raise BadInput(f"{log.path}: {other.message}; {AS_DECLARED}")
-    if (late := lateness(*found)) is None:
-        return reported
+    if (late := lateness(*rig)) is None:
+        return findings
     step = float(np.median([t.dt for t in log.trials]))
-    return reported + late_finding(log.path, late, step, WORDS.tau)
+    return findings + late_finding(log.path, late, step, WORDS.tau)
 
 
-def _resting(log: Log) -> tuple[AuditFinding, ...]:
+def _rest_findings(log: Log) -> tuple[AuditFinding, ...]:
     """At rest without torque the arm hangs or stands: each link near 0 or half a turn from it."""
     rig = log.meta.rig
     if rig is None or rig.model != "rigid_body" or rig.geometry.get("g", GRAVITY) == 0:
         return ()
     for trial in log.trials:
-        q = trial.q[: min(REST.rows, len(trial.time))]
+        q = trial.q[: min(REST.n_rows, len(trial.time))]
         torque = torques(log, trial)[: len(q)]
-        still = np.all(np.ptp(q, axis=0) < REST.still) and np.all(np.abs(torque) < REST.torque)
-        if not still or np.ptp(trial.q) < REST.moves:
+        is_still = np.all(np.ptp(q, axis=0) < REST.max_range) and np.all(
+            np.abs(torque) < REST.max_torque
+        )
+        if not is_still or np.ptp(trial.q) < REST.min_range:
             continue
         tilt = max(abs(math.remainder(x, math.pi)) for x in (q[0, 0], q[0].sum()))
-        if tilt > REST.tilt:
+        if tilt > REST.max_tilt:
             facts = {"q1": q[0, 0], "q2": q[0, 1]}
             return (finding("angle_zero", trial.name, "meta.toml", tilt, **facts),)
     return ()

@@ -11,13 +11,16 @@ import numpy as np
 from adaptsim_jax.logs.criteria import TRIAL
 from adaptsim_jax.logs.quality.contradictions import Words
 from adaptsim_jax.logs.quality.findings import WORDS
-from adaptsim_jax.logs.quality.trials_differ import Differ, OutlierTrial
+from adaptsim_jax.logs.quality.trials_differ import OutlierTrial, TrialDifferences
 
 DIFFERENCES: dict[str, dict[str, str]] = WORDS["difference"]
 
 
 def add_trials(
-    report: dict[str, Any], evidence: dict[str, Any], differ: Differ | None, channels: Words
+    report: dict[str, Any],
+    evidence: dict[str, Any],
+    differ: TrialDifferences | None,
+    channels: Words,
 ) -> None:
     """Put `trials` into a report, and a warning for all that differs between them and that the
     final model does not explain.
@@ -25,39 +28,40 @@ def add_trials(
     if differ is None:
         return
     differ = confirmed(differ, report["error"])
-    lines = sentences(differ, channels)
+    warnings = sentences(differ, channels)
     leave_out = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
-    each = [_each(differ, i, report["error"], channels) for i in range(len(differ.names))]
+    rows = [_each(differ, i, report["error"], channels) for i in range(len(differ.names))]
     report["trials"] = {
         "differ": differ.kind or None,
-        "takes": differ.takes if differ.kind else None,
+        "takes": differ.explained_share if differ.kind else None,
         "leave_out": leave_out,
         "headline": headline(differ),
-        "warnings": lines,
-        "each": each,
+        "warnings": warnings,
+        "each": rows,
     }
-    report["warnings"] = [*(report.get("warnings") or []), *lines]
+    report["warnings"] = [*(report.get("warnings") or []), *warnings]
     evidence["audit"] = [
-        {"severity": "warn", "where": "trials", "message": m} for m in lines
+        {"severity": "warn", "where": "trials", "message": m} for m in warnings
     ] + list(evidence.get("audit") or [])
 
 
-def confirmed(differ: Differ, error: Mapping[str, Any]) -> Differ:
+def confirmed(differ: TrialDifferences, error: Mapping[str, Any]) -> TrialDifferences:
     """What of it the final model leaves: nothing where its error is about the noise, no odd trial
     that it simulates as the others, unless that is because the trial spoiled the fit of all.
     """
-    left, floor = error.get("after") or error.get("before"), error.get("noise_floor")
-    if left is not None and floor and left < TRIAL.noises * floor:
-        return Differ(differ.names, differ.error)
-    own = _errors(error)
-    usual = float(np.median(list(own.values()))) if own else 0.0
-    spoilt = bool(floor) and usual > TRIAL.spoils * floor
-    outlier = tuple(
+    error_after, floor = error.get("after") or error.get("before"), error.get("noise_floor")
+    if error_after is not None and floor and error_after < TRIAL.min_noise_ratio * floor:
+        return TrialDifferences(differ.names, differ.error)
+    errors = _errors(error)
+    usual_error = float(np.median(list(errors.values()))) if errors else 0.0
+    is_spoilt = bool(floor) and usual_error > TRIAL.min_spoiling_ratio * floor
+    outliers = tuple(
         o
         for o in differ.outliers
-        if own.get(o.trial, np.inf) > TRIAL.unusual * usual or (spoilt and o.times > TRIAL.spoils)
+        if errors.get(o.trial, np.inf) > TRIAL.min_unusual_ratio * usual_error
+        or (is_spoilt and o.times > TRIAL.min_spoiling_ratio)
     )
-    return replace(differ, outliers=outlier)
+    return replace(differ, outliers=outliers)
 
 
 def _errors(error: Mapping[str, Any]) -> dict[str, float]:
@@ -69,40 +73,40 @@ def _errors(error: Mapping[str, Any]) -> dict[str, float]:
     return {str(name): float(e) for name, e in rows if e is not None}
 
 
-def headline(differ: Differ) -> str | None:
+def headline(differ: TrialDifferences) -> str | None:
     """The end of a sentence; None where nothing differs."""
     if differ.kind and not differ.outlying:
         return f"{DIFFERENCES[differ.kind]['differs']} from trial to trial"
-    outlier = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
-    if not outlier:
+    outlying = sorted({*differ.outlying, *(o.trial for o in differ.outliers)})
+    if not outlying:
         return None
-    verb = "are" if len(outlier) > 1 else "is"
-    return f"{', '.join(outlier[:6])} {verb} apart from the other trials"
+    verb = "are" if len(outlying) > 1 else "is"
+    return f"{', '.join(outlying[:6])} {verb} apart from the other trials"
 
 
-def sentences(differ: Differ, channels: Words) -> list[str]:
+def sentences(differ: TrialDifferences, channels: Words) -> list[str]:
     """A warning for what differs in all trials, and one for each odd trial."""
-    out = []
+    warnings = []
     if differ.kind and differ.size is not None:
         words = DIFFERENCES[differ.kind]
-        wide = np.nanmax(differ.size, axis=0) - np.nanmin(differ.size, axis=0)
+        spread_of = np.nanmax(differ.size, axis=0) - np.nanmin(differ.size, axis=0)
         spread = ", ".join(
-            _amount(differ.kind, wide, k, channels)
-            for k in np.flatnonzero(wide > TRIAL.shown * wide.max())
+            _amount(differ.kind, spread_of, k, channels)
+            for k in np.flatnonzero(spread_of > TRIAL.min_shown_ratio * spread_of.max())
         )
         mend = words["mend"]
         if differ.outlying:
             mend = f"leave the odd ones out: --without {','.join(differ.outlying)}"
-        out.append(
+        warnings.append(
             f"{words['differs']} from trial to trial, by about {spread}: that is "
-            f"{100 * differ.takes:.0f} % of what the model leaves unexplained, or an effect "
-            f"without a name that acts otherwise in each trial; {mend}"
+            f"{100 * differ.explained_share:.0f} % of what the model leaves unexplained, or an "
+            f"effect without a name that acts otherwise in each trial; {mend}"
         )
-    return out + [_outlier_words(o, channels) for o in differ.outliers]
+    return warnings + [_outlier_words(o, channels) for o in differ.outliers]
 
 
 def _names(kind: str, channels: Words) -> tuple[str, ...]:
-    """Of the numbers of a kind."""
+    """Return the names of the numbers of a kind."""
     if kind == "load":
         return ("share",)
     return channels.q if kind == "zero" else channels.tau
@@ -131,7 +135,9 @@ def _outlier_words(o: OutlierTrial, channels: Words) -> str:
     )
 
 
-def _each(differ: Differ, i: int, error: Mapping[str, Any], channels: Words) -> dict[str, Any]:
+def _each(
+    differ: TrialDifferences, i: int, error: Mapping[str, Any], channels: Words
+) -> dict[str, Any]:
     name = differ.names[i]
     outlier = next((o for o in differ.outliers if o.trial == name), None)
     size, unexplained = None, float(differ.error[i])

@@ -119,8 +119,8 @@ def _expm1(X: Array) -> Array:
 
 
 def _powers_and_sums(E: Array, C: Array, count: int) -> tuple[Array, Array]:
-    """With `F = I + E`, for every k with `2^k <= count`: `F^(2^k) - I`, and `sum_{i < 2^k} F'^i C
-    F^i`.
+    """Compute, with `F = I + E`, for every k with `2^k <= count`: `F^(2^k) - I`, and `sum_{i < 2^k}
+    F'^i C F^i`.
     """
 
     def double(carry: tuple[Array, Array], _: None) -> Any:

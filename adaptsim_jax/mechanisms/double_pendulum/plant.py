@@ -30,14 +30,14 @@ def links_of(theta: np.ndarray, l1: float) -> tuple[np.ndarray, np.ndarray, np.n
     """
     p1, p3, h1, h2 = (float(z) for z in theta[:4])
     p3 = max(p3, 1e-9)
-    rest = max(p1 - p3, 1.1 * (l1 * h2) ** 2 / p3, 1e-9)  # I1 + m1 c1^2 + m2 l1^2
-    lowest, most = 1.02 * h2 * h2 / p3, 0.98 * rest / l1**2
-    m2 = np.sqrt(max(lowest, 1e-3 * most) * most)
-    first, own = h1 - m2 * l1, rest - m2 * l1**2  # m1 c1, I1 + m1 c1^2
-    m1 = max(2.0 * first * first / own, 0.5 * m2)
+    remainder = max(p1 - p3, 1.1 * (l1 * h2) ** 2 / p3, 1e-9)  # I1 + m1 c1^2 + m2 l1^2
+    lowest, highest = 1.02 * h2 * h2 / p3, 0.98 * remainder / l1**2
+    m2 = np.sqrt(max(lowest, 1e-3 * highest) * highest)
+    first, own_inertia = h1 - m2 * l1, remainder - m2 * l1**2  # m1 c1, I1 + m1 c1^2
+    m1 = max(2.0 * first * first / own_inertia, 0.5 * m2)
     centre = np.array([first / m1, h2 / m2])
     mass = np.array([m1, m2])
-    return mass, centre, np.array([own, p3]) - mass * centre**2
+    return mass, centre, np.array([own_inertia, p3]) - mass * centre**2
 
 
 def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle_zero: str) -> str:
@@ -69,7 +69,6 @@ def double_pendulum_mjcf(theta: np.ndarray, geometry: Mapping[str, float], angle
         "  <worldbody>\n"
         f'    <body name="link1">{link[0]}\n'
         f'      <body name="link2" pos="0 0 {down * length:.9g}">{link[1]}</body>\n'
-        "    </body>\n"
-        "  </worldbody>\n"
+        "    </body>\n  </worldbody>\n"
         f"  <actuator>\n{motors}  </actuator>\n</mujoco>\n"
     )

@@ -15,7 +15,7 @@ from scipy.optimize import lsq_linear
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem
-from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import LOGARITHMIC, OPEN, ServoLaw, step_law
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
 STEP = {"scale": 1e-3, "damping": 1e-3, "limit": 1e-3, "rub": 5e-3, "delay": 0.02, "lag": 0.02}
@@ -34,11 +34,11 @@ class LawFit:
     free: tuple[str, ...]
 
     def of(self, law: ServoLaw) -> "LawFit":
-        """With other numbers."""
+        """Return the fit with other numbers."""
         return LawFit(law, self.free)
 
     def and_free(self, name: str) -> "LawFit":
-        """With one more coordinate."""
+        """Return the fit with one more coordinate."""
         return self if name in self.free else LawFit(self.law, (*self.free, name))
 
 
@@ -60,19 +60,19 @@ class LinearModel:
         return hess, np.einsum("pra,pr->pa", weighted, self.error)
 
     def normal(self) -> tuple[np.ndarray, np.ndarray]:
-        """Of all pieces, with the pull."""
+        """Sum the normal equations of all pieces, with the pull."""
         hess, slope = (z.sum(0) for z in self.by_piece())
         return hess + self.prior[0], slope + self.prior[1]
 
 
-def left(problem: JointProblem, law: ServoLaw) -> np.ndarray:
+def sum_squares(problem: JointProblem, law: ServoLaw) -> np.ndarray:
     """Sum of squares [P] of a law."""
     return squared(errors(problem, [law]))[0]
 
 
-def times_noise(problem: JointProblem, law: ServoLaw) -> float:
+def error_over_noise(problem: JointProblem, law: ServoLaw) -> float:
     """Error of all pieces over the noise."""
-    return float(np.sqrt(left(problem, law).sum() / problem.rows.sum()) / problem.noise)
+    return float(np.sqrt(sum_squares(problem, law).sum() / problem.rows.sum()) / problem.noise)
 
 
 def weights(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
@@ -81,7 +81,7 @@ def weights(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
     return 1.0 / (mean + np.median(mean) + problem.noise**2)
 
 
-def pulled(problem: JointProblem, fit: LawFit) -> float:
+def pull_loss(problem: JointProblem, fit: LawFit) -> float:
     """What the pull adds to the loss."""
     return sum(CLOSED_LOOP.pull * np.log1p(2.0 * z * z) for _, z in _off_scale(problem, fit))
 
@@ -114,10 +114,12 @@ def prior_of(problem: JointProblem, fit: LawFit) -> tuple[np.ndarray, np.ndarray
     return hess, slope
 
 
-def linearised(problem: JointProblem, fit: LawFit, weight: np.ndarray | None = None) -> LinearModel:
+def linearise(problem: JointProblem, fit: LawFit, weight: np.ndarray | None = None) -> LinearModel:
     """A law's errors and their derivatives, by differences."""
     step = np.array([STEP.get(name, OTHER_STEP) for name in fit.free])
-    laws = [moved(problem.servo, problem.scales, fit.law, fit.free, row) for row in np.diag(step)]
+    laws = [
+        step_law(problem.servo, problem.scales, fit.law, fit.free, row) for row in np.diag(step)
+    ]
     all_errors = errors(problem, [fit.law, *laws])
     slope = np.zeros((*all_errors[0].shape, len(fit.free)))
     for k, h in enumerate(step):
@@ -128,7 +130,7 @@ def linearised(problem: JointProblem, fit: LawFit, weight: np.ndarray | None = N
     return LinearModel(all_errors[0], slope, weight, prior_of(problem, fit))
 
 
-def solved(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Least squares by normal equations, scaled to a diagonal of 1 and a trace of ridge."""
     size = np.sqrt(np.maximum(np.diag(hess), 1e-300))
     scaled = hess / size[:, None] / size + 1e-9 * np.eye(len(size))
@@ -136,10 +138,10 @@ def solved(hess: np.ndarray, right: np.ndarray) -> np.ndarray:
     return (answer.T / size).T
 
 
-def solved_within(
+def solve_within(
     hess: np.ndarray, right: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> np.ndarray:
-    """Step [K] of least squares by normal equations within [low, high]; scaled as `solved`."""
+    """Step [K] of least squares by normal equations within [low, high]; scaled as `solve`."""
     if not len(right):
         return right
     size = np.sqrt(np.maximum(np.diag(hess), 1e-300))
@@ -150,26 +152,26 @@ def solved_within(
     return np.clip(step, low, high)
 
 
-def fitted(problem: JointProblem, fit: LawFit, rounds: int = CLOSED_LOOP.rounds) -> LawFit:
+def fit_law(problem: JointProblem, fit: LawFit, rounds: int = CLOSED_LOOP.rounds) -> LawFit:
     """Levenberg and Marquardt's fit from where `fit` is."""
     damping, weight = 1e-3, None
     for k in range(rounds):
-        lin = linearised(problem, fit, weight)
+        linear = linearise(problem, fit, weight)
         if k in (0, 3):
-            lin = linearised(problem, fit) if k else lin
-            weight = lin.weight
-        hess, slope = lin.normal()
-        before = float(lin.weight @ squared(lin.error)) + pulled(problem, fit)
-        own = np.diag(np.diag(hess) + 1e-12 * np.trace(hess) + 1e-300)
+            linear = linearise(problem, fit) if k else linear
+            weight = linear.weight
+        hess, slope = linear.normal()
+        before = float(linear.weight @ squared(linear.error)) + pull_loss(problem, fit)
+        diagonal = np.diag(np.diag(hess) + 1e-12 * np.trace(hess) + 1e-300)
         sizes = damping * np.array(DAMPING)
-        steps = [np.clip(-solved(hess + z * own, slope), -1.5, 1.5) for z in sizes]
+        steps = [np.clip(-solve(hess + z * diagonal, slope), -1.5, 1.5) for z in sizes]
         tries = [
-            fit.of(moved(problem.servo, problem.scales, fit.law, fit.free, share * step))
+            fit.of(step_law(problem.servo, problem.scales, fit.law, fit.free, share * step))
             for share in (1.0, SHORT)
             for step in steps
         ]
-        sums = squared(errors(problem, [t.law for t in tries])) @ lin.weight
-        loss = sums + [pulled(problem, t) for t in tries]
+        sums = squared(errors(problem, [t.law for t in tries])) @ linear.weight
+        loss = sums + [pull_loss(problem, t) for t in tries]
         best = int(np.argmin(loss))
         if not loss[best] < before:
             break
@@ -181,36 +183,36 @@ def fitted(problem: JointProblem, fit: LawFit, rounds: int = CLOSED_LOOP.rounds)
 
 
 @dataclass(frozen=True)
-class LeftOutPieces:
+class HeldOutPieces:
     """sums [P] of squares of pieces by numbers of the others; steps [F, K] to those numbers."""
 
     sums: np.ndarray
     steps: np.ndarray
 
 
-def left_out(problem: JointProblem, fit: LawFit) -> LeftOutPieces:
+def held_out_pieces(problem: JointProblem, fit: LawFit) -> HeldOutPieces:
     """Each group of pieces simulated by numbers that one step without it gives."""
     if not fit.free:
-        return LeftOutPieces(left(problem, fit.law), np.zeros((len(problem.groups), 0)))
-    lin = linearised(problem, fit)
-    hess, slope = lin.normal()
-    own_hess, own_slope = lin.by_piece()
-    here = solved(hess, slope)
+        return HeldOutPieces(sum_squares(problem, fit.law), np.zeros((len(problem.groups), 0)))
+    linear = linearise(problem, fit)
+    hess, slope = linear.normal()
+    own_hess, own_slope = linear.by_piece()
+    full_step = solve(hess, slope)
     steps = np.array(
         [
-            here - solved(hess - own_hess[g].sum(0), slope - own_slope[g].sum(0))
+            full_step - solve(hess - own_hess[g].sum(0), slope - own_slope[g].sum(0))
             for g in problem.groups
         ]
     )
     laws = [
-        moved(problem.servo, problem.scales, fit.law, fit.free, np.clip(s, -0.7, 0.7))
+        step_law(problem.servo, problem.scales, fit.law, fit.free, np.clip(s, -0.7, 0.7))
         for s in steps
     ]
-    every = squared(errors(problem, laws))
+    all_sums = squared(errors(problem, laws))
     sums = np.zeros(len(problem.rows))
     for k, group in enumerate(problem.groups):
-        sums[group] = every[k][group]
-    return LeftOutPieces(sums, steps)
+        sums[group] = all_sums[k][group]
+    return HeldOutPieces(sums, steps)
 
 
 def by_group(problem: JointProblem, sums: np.ndarray) -> np.ndarray:
@@ -241,21 +243,23 @@ def score(problem: JointProblem, sums: np.ndarray) -> float:
 
 def most_moving(problem: JointProblem) -> JointProblem:
     """The pieces that move most, where a fit begins."""
-    lane, most = problem.lanes, CLOSED_LOOP.start_pieces
-    counted, measured = np.asarray(lane.counted) > 0, np.asarray(lane.measured)
-    if len(counted) <= most:
+    lane, max_pieces = problem.lanes, CLOSED_LOOP.start_pieces
+    is_counted, measured = np.asarray(lane.counted) > 0, np.asarray(lane.measured)
+    if len(is_counted) <= max_pieces:
         return problem
-    moves = [np.ptp(m[c]) if c.any() else 0.0 for m, c in zip(measured, counted, strict=True)]
-    return problem.only(np.sort(np.argsort(moves)[-most:]))
+    ranges_of_motion = [
+        np.ptp(m[c]) if c.any() else 0.0 for m, c in zip(measured, is_counted, strict=True)
+    ]
+    return problem.only(np.sort(np.argsort(ranges_of_motion)[-max_pieces:]))
 
 
 def _grid(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws on a grid of kp and of the time in which damping stops, with and without friction."""
     servo, out = problem.servo, []
     if servo.follows_speed:
-        for times in 2.0 ** np.arange(-4, 3):
-            for rub in (law.rub, 0.3 * times * problem.scales.force):
-                out.append(law._replace(damping=servo.law.damping * times, rub=rub))
+        for factor in 2.0 ** np.arange(-4, 3):
+            for rub in (law.rub, 0.3 * factor * problem.scales.force):
+                out.append(law._replace(damping=servo.law.damping * factor, rub=rub))
         return out
     for kp in servo.law.kp * 2.0 ** np.arange(-8, 2.5, 1.0):
         for time in (0.003, 0.006, 0.012, 0.025, 0.05, 0.1, 0.2):
@@ -275,59 +279,59 @@ def _best_distinct(
     value = np.log(sums / problem.rows + problem.noise**2).mean(1)
     chosen: list[ServoLaw] = []
     for k in np.argsort(value):
-        one = laws[int(k)]
-        near = [
-            abs(np.log((one.kp + 1e-12) / (z.kp + 1e-12))) < 0.6
-            and abs(np.log(one.damping / z.damping)) < 0.8
+        law = laws[int(k)]
+        is_near = [
+            abs(np.log((law.kp + 1e-12) / (z.kp + 1e-12))) < 0.6
+            and abs(np.log(law.damping / z.damping)) < 0.8
             for z in chosen
         ]
-        if not any(near):
-            chosen.append(one)
+        if not any(is_near):
+            chosen.append(law)
         if len(chosen) == count:
             break
     return chosen, float(value.min())
 
 
-def begun(problem: JointProblem, base: ServoLaw, late: str | None = None) -> LawFit:
-    """kp, damping and friction from a grid, the rest of the law as `base`; with `late`, `delay` or
-    `lag`, that number as well.
+def fit_from_grid(problem: JointProblem, base: ServoLaw, delay_name: str | None = None) -> LawFit:
+    """kp, damping and friction from a grid, the rest of the law as `base`; with `delay_name`,
+    `delay` or `lag`, that number as well.
     """
-    some, free = most_moving(problem), problem.servo.free
-    if late is None:
-        starts = [*_best_distinct(some, _grid(problem, base), 3)[0], base]
+    moving, free = most_moving(problem), problem.servo.free
+    if delay_name is None:
+        starts = [*_best_distinct(moving, _grid(problem, base), 3)[0], base]
     else:
-        free = (*free, late)
-        found = [
-            _best_distinct(some, _grid(problem, base._replace(**{late: z})), 2)
+        free = (*free, delay_name)
+        candidates = [
+            _best_distinct(moving, _grid(problem, base._replace(**{delay_name: z})), 2)
             for z in (0.012, 0.03, 0.06)
         ]
-        starts = min(found, key=lambda f: f[1])[0]
-    tries = [fitted(some, LawFit(law, free), 8) for law in starts]
-    best = min(tries, key=lambda t: score(some, left(some, t.law)))
-    return fitted(problem, best)
+        starts = min(candidates, key=lambda f: f[1])[0]
+    tries = [fit_law(moving, LawFit(law, free), 8) for law in starts]
+    best = min(tries, key=lambda t: score(moving, sum_squares(moving, t.law)))
+    return fit_law(problem, best)
 
 
-def begun_at_limit(problem: JointProblem, fit: LawFit) -> LawFit:
+def fit_with_limit(problem: JointProblem, fit: LawFit) -> LawFit:
     """The law with a limit, begun from the torque that the motion needs; before the damping from
     the highest speed that was measured, too, which is near the speed without load. The law as it
     was where left-out pieces refute that.
     """
-    servo, some = problem.servo, most_moving(problem)
+    servo, moving = problem.servo, most_moving(problem)
     if servo.follows_speed or not servo.allowed("limit"):
         return fit
-    laws = [*_limited(problem, fit.law), *_unloaded(problem, fit.law)]
-    sums = squared(errors(some, laws))
-    order = np.argsort(np.log(sums / some.rows + some.noise**2).mean(1))[:3]
-    tries = [fitted(some, LawFit(laws[k], (*fit.free, "limit")), 8) for k in order]
-    new = fitted(problem, min(tries, key=lambda t: score(some, left(some, t.law))))
-    rival = fitted(problem, _rub_in_limit(servo.law, new))
-    new = min((new, rival), key=lambda t: score(problem, left(problem, t.law)))
-    if preferred(problem, fit, new):
+    laws = [*_limited_laws(problem, fit.law), *_laws_limited_before_damping(problem, fit.law)]
+    sums = squared(errors(moving, laws))
+    order = np.argsort(np.log(sums / moving.rows + moving.noise**2).mean(1))[:3]
+    tries = [fit_law(moving, LawFit(laws[k], (*fit.free, "limit")), 8) for k in order]
+    new = fit_law(problem, min(tries, key=lambda t: score(moving, sum_squares(moving, t.law))))
+    rival = fit_law(problem, _friction_in_limit(servo.law, new))
+    new = min((new, rival), key=lambda t: score(problem, sum_squares(problem, t.law)))
+    if is_preferred(problem, fit, new):
         return new
     return fit
 
 
-def _rub_in_limit(file: ServoLaw, fit: LawFit) -> LawFit:
+def _friction_in_limit(file: ServoLaw, fit: LawFit) -> LawFit:
     """The law with the file's friction, what it had beyond that taken off its limit: motion at the
     limit in one direction shows their difference alone.
     """
@@ -336,7 +340,7 @@ def _rub_in_limit(file: ServoLaw, fit: LawFit) -> LawFit:
     return fit.of(law._replace(rub=file.rub, limit=limit))
 
 
-def _limited(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
+def _limited_laws(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws whose limit cuts the whole force."""
     kp = problem.servo.law.kp
     return [
@@ -348,7 +352,7 @@ def _limited(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     ]
 
 
-def _unloaded(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
+def _laws_limited_before_damping(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     """Laws whose limit is before the damping."""
     file = problem.servo.law
     usual = file.limit if file.limit < OPEN else file.kp * problem.scales.error
@@ -368,15 +372,15 @@ def _unloaded(problem: JointProblem, law: ServoLaw) -> list[ServoLaw]:
     ]
 
 
-def preferred(
+def is_preferred(
     problem: JointProblem, one: LawFit, other: LawFit, gain: float = CLOSED_LOOP.gain
 ) -> bool:
     """Whether left-out pieces are predicted better by the other, by `gain` and beyond chance."""
-    before, after = (left_out(problem, fit).sums for fit in (one, other))
-    found = gains(problem, before, after)
-    over = [np.sqrt(sums / problem.rows) / problem.noise for sums in (before, after)]
-    shown = paired_t(found) < CLOSED_LOOP.level or explains(*over)
-    return bool(found.mean() > gain and shown)
+    before, after = (held_out_pieces(problem, fit).sums for fit in (one, other))
+    gains_by_group = gains(problem, before, after)
+    over_noise = [np.sqrt(sums / problem.rows) / problem.noise for sums in (before, after)]
+    beyond_chance = paired_t(gains_by_group) < CLOSED_LOOP.level or explains(*over_noise)
+    return bool(gains_by_group.mean() > gain and beyond_chance)
 
 
 def explains(before: np.ndarray, after: np.ndarray) -> bool:
@@ -386,6 +390,6 @@ def explains(before: np.ndarray, after: np.ndarray) -> bool:
     Args:
         before, after: [P] errors over the noise.
     """
-    helped = (before > CLOSED_LOOP.far) & (after < CLOSED_LOOP.enough)
-    harmed = after > np.maximum(CLOSED_LOOP.enough, CLOSED_LOOP.shown * before)
-    return bool(helped.sum() >= CLOSED_LOOP.helped and not harmed.any())
+    is_helped = (before > CLOSED_LOOP.far) & (after < CLOSED_LOOP.enough)
+    is_harmed = after > np.maximum(CLOSED_LOOP.enough, CLOSED_LOOP.shown * before)
+    return bool(is_helped.sum() >= CLOSED_LOOP.helped and not is_harmed.any())

@@ -13,32 +13,32 @@ from adaptsim_jax.diagnosis.testing import jackknife
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import (
     LawFit,
-    begun,
-    begun_at_limit,
-    fitted,
-    left,
-    linearised,
-    preferred,
+    error_over_noise,
+    fit_from_grid,
+    fit_law,
+    fit_with_limit,
+    is_preferred,
+    linearise,
     score,
-    solved,
-    times_noise,
+    solve,
+    sum_squares,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording, joint_problems
-from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, moved
+from adaptsim_jax.simulators.closed_loop.law import OPEN, ServoLaw, step_law
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
 from adaptsim_jax.simulators.closed_loop.polish import (
     SHARED_BY_ALL,
     Better,
     Coordinate,
     FittedServos,
-    Polished,
+    PolishedLaws,
     WholeTrials,
     better_at,
-    left_out_errors,
+    held_out_errors,
     over_noise,
-    polished,
+    polish_laws,
+    remove_coordinates,
     whole_trials,
-    without,
 )
 from adaptsim_jax.simulators.closed_loop.rivals import (
     CARRIED,
@@ -55,12 +55,12 @@ from adaptsim_jax.simulators.closed_loop.rivals import (
     scale_shown,
     with_mass,
 )
-from adaptsim_jax.simulators.closed_loop.shared import LATE, late_targets, one_more_shared
+from adaptsim_jax.simulators.closed_loop.shared import DELAY_NAMES, late_targets, one_more_shared
 from adaptsim_jax.simulators.closed_loop.stepping import errors, squared
 
-STEPPED = ("damping_delay", "shift")
+STEP_NAMES = ("damping_delay", "shift")
 """Fitted of all joints together whatever is found: how a simulator or a controller steps."""
-OWN = ("limit", "offset", "rotor", "spring", "zero")
+OWN_NAMES = ("limit", "offset", "rotor", "spring", "zero")
 """Numbers that one joint may have beside its law."""
 
 
@@ -86,9 +86,9 @@ class LawMember:
         joint = self.coordinates[0][0]
         threshold = CLOSED_LOOP.shared_gain if joint == SHARED_BY_ALL else CLOSED_LOOP.gain
         beyond_chance = self.test.p < CLOSED_LOOP.level or self.test.explains
-        shown = self.test.gain > threshold and beyond_chance
-        lacking = self.without > CLOSED_LOOP.shown
-        return not (shown and lacking and self.change > CLOSED_LOOP.min_change)
+        has_gain = self.test.gain > threshold and beyond_chance
+        is_lacking = self.without > CLOSED_LOOP.shown
+        return not (has_gain and is_lacking and self.change > CLOSED_LOOP.min_change)
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class ServoLaws:
     """
 
     recording: Recording
-    found: Polished
+    found: PolishedLaws
     members: tuple[LawMember, ...]
     before: np.ndarray
     after: np.ndarray
@@ -132,41 +132,41 @@ class ServoLaws:
         """Standard error of the sum of some coordinates, by the jackknife over left-out pieces; 0
         where none is fitted.
         """
-        at = [i for i, c in enumerate(self.found.model.coordinates) if c in coordinates]
-        if not at:
+        indices = [i for i, c in enumerate(self.found.model.coordinates) if c in coordinates]
+        if not indices:
             return 0.0
-        return float(jackknife(self.found.steps[:, at].sum(1)))
+        return float(jackknife(self.found.steps[:, indices].sum(1)))
 
     def ends(self) -> float:
         """Standard errors from the middle of a 90 % interval to its ends: Student's t."""
         return float(stats.t.ppf(0.95, max(len(self.found.steps) - 1, 1)))
 
 
-def scale_spread(found: ServoLaws) -> np.ndarray:
+def scale_spread(servo_laws: ServoLaws) -> np.ndarray:
     """Standard error [n] of the logarithm of kp, each joint's rotor and a mass at the hand free as
     well: where these and kp can grow together, only ratios are known. Infinite where kp was not
     fitted.
     """
-    model, out = found.found.model, np.full(len(found.laws), np.inf)
+    model, out = servo_laws.found.model, np.full(len(servo_laws.laws), np.inf)
     scaled = [j for j, f in enumerate(model.fits) if "scale" in f.free]
     if not scaled:
         return out
     free = [f.and_free("rotor") if j in scaled else f for j, f in enumerate(model.fits)]
     shared = model.shared
-    if found.recording.hand >= 0 and "payload" not in shared:
+    if servo_laws.recording.hand >= 0 and "payload" not in shared:
         shared = (*shared, *CARRIED)
-    wide = polished(found.whole, FittedServos(tuple(free), shared), rounds=0)
-    spread = jackknife(wide.steps)
-    for i, (j, name) in enumerate(wide.model.coordinates):
+    with_all_free = polish_laws(servo_laws.whole, FittedServos(tuple(free), shared), rounds=0)
+    spread = jackknife(with_all_free.steps)
+    for i, (j, name) in enumerate(with_all_free.model.coordinates):
         if name == "scale":
             out[j] = spread[i]
     return out
 
 
-def identified(
+def identify_servos(
     recording: Recording,
     notify: Callable[[str], None] = lambda note: None,
-    keep: Callable[[ServoLaws], None] = lambda found: None,
+    keep: Callable[[ServoLaws], None] = lambda polished: None,
 ) -> ServoLaws:
     """The servos' laws that a recording shows: the file's where nothing is lacking, one number that
     all servos share where that explains all, else laws of joints, held against whole trials.
@@ -179,50 +179,54 @@ def identified(
     notify("whole trials by the file")
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
-    whole = whole_trials(recording, problems)
-    file, before = _with_friction(whole, file)
-    live = [j for j, p in enumerate(problems) if _moves(recording, j)]
-    if by_file := _nothing_lacking(whole, file, before, live):
-        error = by_file.errors
-        return ServoLaws(recording, by_file, (), error, error, whole)
+    trials = whole_trials(recording, problems)
+    file, before = _with_friction(trials, file)
+    moving_joints = [j for j, p in enumerate(problems) if _is_moving(recording, j)]
+    if file_laws := _nothing_lacking(trials, file, before, moving_joints):
+        error = file_laws.errors
+        return ServoLaws(recording, file_laws, (), error, error, trials)
     notify("one number that all servos share")
-    found, instead = one_shared(whole, file, STEPPED), ()
-    if found is None:
-        model = _joint_by_joint(whole, file, live, notify)
-        found, instead = _of_whole_trials(whole, model, file, notify)
-        file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
+    polished, instead = one_shared(trials, file, STEP_NAMES), ()
+    if polished is None:
+        model = _joint_by_joint(trials, file, moving_joints, notify)
+        polished, instead = _of_whole_trials(trials, model, file, notify)
+        file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
 
-    def seen(model: Polished, members: Sequence[LawMember]) -> None:
-        stay = tuple(m for m in members if not m.refuted)
-        keep(ServoLaws(recording, model, stay, before, model.errors, whole, instead))
+    def keep_model(model: PolishedLaws, members: Sequence[LawMember]) -> None:
+        remaining = tuple(m for m in members if not m.refuted)
+        keep(ServoLaws(recording, model, remaining, before, model.errors, trials, instead))
 
-    found, members = _borne_out(whole, found, file, notify, seen)
-    if worse := _not_followed_better(whole, before, found, members):
-        found = polished(whole, without(whole, found, worse, file), rounds=2)
-        found, members = _borne_out(whole, found, file, notify, seen)
+    polished, members = _remove_refuted(trials, polished, file, notify, keep_model)
+    if not_better := _not_followed_better(trials, before, polished, members):
+        polished = polish_laws(
+            trials, remove_coordinates(trials, polished, not_better, file), rounds=2
+        )
+        polished, members = _remove_refuted(trials, polished, file, notify, keep_model)
     notify("whole trials in finer steps")
-    fine, found = _in_settled_steps(whole, polished(whole, found.model))
-    after = left_out_errors(fine, found)
-    shown = gain_shown(fine, found), scale_shown(fine, found)
-    return ServoLaws(fine.recording, found, members, before, after, fine, instead, *shown)
+    finer, polished = _in_settled_steps(trials, polish_laws(trials, polished.model))
+    after = held_out_errors(finer, polished)
+    shows = gain_shown(finer, polished), scale_shown(finer, polished)
+    return ServoLaws(finer.recording, polished, members, before, after, finer, instead, *shows)
 
 
-def _in_settled_steps(whole: WholeTrials, found: Polished) -> tuple[WholeTrials, Polished]:
+def _in_settled_steps(
+    trials: WholeTrials, polished: PolishedLaws
+) -> tuple[WholeTrials, PolishedLaws]:
     """Whole trials in steps that are halved until this moves no joint by what counts beside the
     noise, and the servos fitted to them.
     """
     for _ in range(CLOSED_LOOP.halvings):
-        finer = replace(whole, recording=whole.recording.restepped(0.5))
-        error = finer.errors([found.model.laws])[0]
-        if over_noise(whole, error - found.errors).max() < CLOSED_LOOP.stepped:
+        finer = replace(trials, recording=trials.recording.restepped(0.5))
+        error = finer.errors([polished.model.laws])[0]
+        if over_noise(trials, error - polished.errors).max() < CLOSED_LOOP.stepped:
             break
-        whole, found = finer, polished(finer, found.model, rounds=4)
-    return whole, found
+        trials, polished = finer, polish_laws(finer, polished.model, rounds=4)
+    return trials, polished
 
 
 def _nothing_lacking(
-    whole: WholeTrials, file: Sequence[ServoLaw], before: np.ndarray, live: Sequence[int]
-) -> Polished | None:
+    trials: WholeTrials, file: Sequence[ServoLaw], before: np.ndarray, moving_joints: Sequence[int]
+) -> PolishedLaws | None:
     """The file's laws where they leave no more than noise at the joints that move, at once or with
     how a simulator steps; else None.
 
@@ -230,119 +234,133 @@ def _nothing_lacking(
         before: Errors [rows, n] rad that they leave at once.
     """
     fits = tuple(LawFit(law, ()) for law in file)
-    if over_noise(whole, before)[live].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
-        return polished(whole, FittedServos(fits), rounds=0)
-    found = polished(whole, FittedServos(fits, STEPPED))
-    if over_noise(whole, found.errors)[live].max() < CLOSED_LOOP.lacks_nothing:
-        return found
+    if over_noise(trials, before)[moving_joints].max(initial=0.0) < CLOSED_LOOP.lacks_nothing:
+        return polish_laws(trials, FittedServos(fits), rounds=0)
+    polished = polish_laws(trials, FittedServos(fits, STEP_NAMES))
+    if over_noise(trials, polished.errors)[moving_joints].max() < CLOSED_LOOP.lacks_nothing:
+        return polished
     return None
 
 
 def _joint_by_joint(
-    whole: WholeTrials,
+    trials: WholeTrials,
     file: Sequence[ServoLaw],
-    live: Sequence[int],
+    moving_joints: Sequence[int],
     notify: Callable[[str], None],
 ) -> FittedServos:
     """Laws fitted to pieces of single joints, with numbers that all joints share."""
-    problems, fits = whole.problems, {j: LawFit(law, ()) for j, law in enumerate(file)}
-    some = [problems[j] for j in live]
+    problems, fits = trials.problems, {j: LawFit(law, ()) for j, law in enumerate(file)}
+    moving_problems = [problems[j] for j in moving_joints]
     notify("servos, joint by joint")
-    fits |= zip(live, parallel_map(lambda p: _begun(p, file[0].sharp), some), strict=True)
+    fits |= zip(
+        moving_joints,
+        parallel_map(lambda p: _begin_fit(p, file[0].sharp), moving_problems),
+        strict=True,
+    )
     if all(
-        times_noise(p, fits[j].law) < CLOSED_LOOP.shown for p, j in zip(some, live, strict=True)
+        error_over_noise(p, fits[j].law) < CLOSED_LOOP.shown
+        for p, j in zip(moving_problems, moving_joints, strict=True)
     ):
         return FittedServos(tuple(fits.values()))
     shared: list[str] = []
     notify("targets that are late")
-    own, tried = late_targets(some, [fits[j] for j in live])
-    if passed := [a for a in tried if a.passes]:
+    new_fits, attempts = late_targets(moving_problems, [fits[j] for j in moving_joints])
+    if passed := [a for a in attempts if a.passes]:
         shared.append(max(passed, key=lambda a: a.gain).name)
-        fits |= zip(live, own, strict=True)
-    fits, shared = _grown(whole.recording, problems, live, fits, shared, notify)
-    value = {n: getattr(fits[live[0]].law, n) for n in shared}
-    full = [fits[j] if j in live else fits[j].of(fits[j].law._replace(**value)) for j in fits]
-    return FittedServos(tuple(full), tuple(shared))
+        fits |= zip(moving_joints, new_fits, strict=True)
+    fits, shared = _grow_laws(trials.recording, problems, moving_joints, fits, shared, notify)
+    shared_values = {n: getattr(fits[moving_joints[0]].law, n) for n in shared}
+    all_fits = [
+        fits[j] if j in moving_joints else fits[j].of(fits[j].law._replace(**shared_values))
+        for j in fits
+    ]
+    return FittedServos(tuple(all_fits), tuple(shared))
 
 
 def _of_whole_trials(
-    whole: WholeTrials,
+    trials: WholeTrials,
     model: FittedServos,
     file: Sequence[ServoLaw],
     notify: Callable[[str], None],
-) -> tuple[Polished, tuple[int, ...]]:
+) -> tuple[PolishedLaws, tuple[int, ...]]:
     """Laws fitted to whole trials, each explanation held against its rivals; joints as of
     `ServoLaws.instead`.
     """
     notify("whole trials")
-    late = any(n in LATE for n in model.shared)
-    stepped = [n for n in STEPPED if n != "shift" or not late]
-    model = replace(model, shared=(*model.shared, *stepped))
-    found = or_other_friction(whole, polished(whole, with_mass(whole.recording, model)))
-    found = or_other_scale(whole, or_plain(whole, found, file))
-    file = [law._replace(sharp=found.model.laws[0].sharp) for law in file]
-    found = or_files_gain(whole, or_stepped(whole, found, file), file)
-    found = or_rival(whole, found, file)
-    return or_heavier(whole, found, file)
+    has_delay = any(n in DELAY_NAMES for n in model.shared)
+    step_names = [n for n in STEP_NAMES if n != "shift" or not has_delay]
+    model = replace(model, shared=(*model.shared, *step_names))
+    polished = or_other_friction(trials, polish_laws(trials, with_mass(trials.recording, model)))
+    polished = or_other_scale(trials, or_plain(trials, polished, file))
+    file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
+    polished = or_files_gain(trials, or_stepped(trials, polished, file), file)
+    polished = or_rival(trials, polished, file)
+    return or_heavier(trials, polished, file)
 
 
 def _with_friction(
-    whole: WholeTrials, laws: Sequence[ServoLaw]
+    trials: WholeTrials, laws: Sequence[ServoLaw]
 ) -> tuple[list[ServoLaw], np.ndarray]:
     """The laws with dry friction that holds still or that creeps as MuJoCo's does, whichever leaves
     less of whole trials, and what these leave.
     """
-    both = [[law._replace(sharp=z) for law in laws] for z in (laws[0].sharp, 1.0 - laws[0].sharp)]
+    both_laws = [
+        [law._replace(sharp=z) for law in laws] for z in (laws[0].sharp, 1.0 - laws[0].sharp)
+    ]
     if not any(law.rub for law in laws):
-        return both[0], whole.errors(both[:1])[0]
-    every = whole.errors(both)
-    left = [float(np.log(over_noise(whole, e)).sum()) for e in every]
-    best = int(left[1] < left[0] - CLOSED_LOOP.gain)
-    return both[best], every[best]
+        return both_laws[0], trials.errors(both_laws[:1])[0]
+    all_errors = trials.errors(both_laws)
+    log_errors = [float(np.log(over_noise(trials, e)).sum()) for e in all_errors]
+    best = int(log_errors[1] < log_errors[0] - CLOSED_LOOP.gain)
+    return both_laws[best], all_errors[best]
 
 
-def _moves(recording: Recording, j: int) -> bool:
+def _is_moving(recording: Recording, j: int) -> bool:
     span = max(float(np.ptp(t.q[:, j])) for t in recording.trials)
     return span > CLOSED_LOOP.moving * recording.noise[j]
 
 
-def _begun(problem: JointProblem, sharp: float) -> LawFit:
+def _begin_fit(problem: JointProblem, sharp: float) -> LawFit:
     """kp, damping and friction, with a limit where that is better. sharp: as of `ServoLaw`."""
-    fit = begun(problem, problem.servo.law._replace(sharp=sharp))
-    if times_noise(problem, fit.law) < CLOSED_LOOP.enough:
+    fit = fit_from_grid(problem, problem.servo.law._replace(sharp=sharp))
+    if error_over_noise(problem, fit.law) < CLOSED_LOOP.enough:
         return fit
-    return begun_at_limit(problem, fit)
+    return fit_with_limit(problem, fit)
 
 
-def _grown(recording, problems, live, fits, shared, notify):
-    """With numbers that all joints share and numbers of one, while left-out pieces improve."""
+def _grow_laws(recording, problems, moving_joints, fits, shared, notify):
+    """Add numbers that all joints share and numbers of one, while left-out pieces improve."""
     names = [n for n in allowed_by_all(recording) if n not in shared]
-    if any(n in LATE for n in shared):
-        names = [n for n in names if n not in LATE]
-    alike = len({problems[j].servo.armature for j in live}) == 1 and len(live) > 1
-    names = names if alike else [n for n in names if n != "rotor"]
-    some = [problems[j] for j in live]
+    if any(n in DELAY_NAMES for n in shared):
+        names = [n for n in names if n not in DELAY_NAMES]
+    are_alike = (
+        len({problems[j].servo.armature for j in moving_joints}) == 1 and len(moving_joints) > 1
+    )
+    names = names if are_alike else [n for n in names if n != "rotor"]
+    moving_problems = [problems[j] for j in moving_joints]
     for _ in range(CLOSED_LOOP.shared):
         notify("numbers that all servos share")
-        best, _ = one_more_shared(some, [fits[j] for j in live], names)
+        best, _ = one_more_shared(moving_problems, [fits[j] for j in moving_joints], names)
         if best is None:
             break
         shared = [*shared, best.name]
         names = [n for n in names if n != best.name]
-        fits = fits | dict(zip(live, best.fits, strict=True))
+        fits = fits | dict(zip(moving_joints, best.fits, strict=True))
     notify("numbers of one servo")
-    own = [n for n in OWN if n not in shared]
-    rows = [(problems[j], fits[j], problems[j].servo.allowed(*own)) for j in live]
-    fits = fits | dict(zip(live, parallel_map(lambda row: _with_own(*row), rows), strict=True))
+    own_names = [n for n in OWN_NAMES if n not in shared]
+    rows = [(problems[j], fits[j], problems[j].servo.allowed(*own_names)) for j in moving_joints]
+    fits = fits | dict(
+        zip(moving_joints, parallel_map(lambda row: _with_own(*row), rows), strict=True)
+    )
     return fits, shared
 
 
 def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawFit:
-    """With numbers of this joint alone, while left-out pieces improve."""
+    """Add numbers of this joint alone, while left-out pieces improve."""
     for _ in range(CLOSED_LOOP.own):
         for start in _likely_own(problem, fit, [n for n in extras if n not in fit.free]):
-            new = fitted(problem, start, 8)
-            if preferred(problem, fit, new):
+            new = fit_law(problem, start, 8)
+            if is_preferred(problem, fit, new):
                 fit = new
                 break
         else:
@@ -352,24 +370,24 @@ def _with_own(problem: JointProblem, fit: LawFit, extras: Sequence[str]) -> LawF
 
 def _likely_own(problem: JointProblem, fit: LawFit, names: Sequence[str]) -> list[LawFit]:
     """Starts with one number more, likeliest first: by one step, or from several limits."""
-    before, starts = score(problem, left(problem, fit.law)), []
-    smooth = [n for n in names if n != "limit"]
-    if smooth:
-        lin = linearised(problem, LawFit(fit.law, (*fit.free, *smooth)))
-        hess, slope = lin.normal()
+    before, starts = score(problem, sum_squares(problem, fit.law)), []
+    smooth_names = [n for n in names if n != "limit"]
+    if smooth_names:
+        linear = linearise(problem, LawFit(fit.law, (*fit.free, *smooth_names)))
+        hess, slope = linear.normal()
         k = len(fit.free)
-        for i, name in enumerate(smooth):
-            at = [*range(k), k + i]
-            step = -solved(hess[np.ix_(at, at)], slope[at])
+        for i, name in enumerate(smooth_names):
+            indices = [*range(k), k + i]
+            step = -solve(hess[np.ix_(indices, indices)], slope[indices])
             free = (*fit.free, name)
             for share in (1.0, 0.4):
-                law = moved(problem.servo, problem.scales, fit.law, free, share * step)
+                law = step_law(problem.servo, problem.scales, fit.law, free, share * step)
                 starts.append(LawFit(law, free))
     if "limit" in names:
-        top = fit.law.kp * np.abs(problem.scales.error) * 3.0
+        usual_force = fit.law.kp * np.abs(problem.scales.error) * 3.0
         for share in (0.15, 0.25, 0.4, 0.55, 0.7, 0.85, 0.95):
             for inside in (0.0, 1.0):
-                law = fit.law._replace(limit=share * top, inside=inside)
+                law = fit.law._replace(limit=share * usual_force, inside=inside)
                 starts.append(LawFit(law, (*fit.free, "limit")))
     if not starts:
         return []
@@ -384,73 +402,78 @@ def _likely_own(problem: JointProblem, fit: LawFit, names: Sequence[str]) -> lis
     return [start for z, start in likely if before - z > 0.5 * CLOSED_LOOP.gain]
 
 
-def _borne_out(
-    whole: WholeTrials,
-    found: Polished,
+def _remove_refuted(
+    trials: WholeTrials,
+    polished: PolishedLaws,
     file: Sequence[ServoLaw],
     notify: Callable[[str], None],
-    seen: Callable[[Polished, Sequence[LawMember]], None],
-) -> tuple[Polished, tuple[LawMember, ...]]:
-    """Without what whole trials do not bear out beside all else, and what stays. seen: called with
-    each model and its members.
+    keep_model: Callable[[PolishedLaws, Sequence[LawMember]], None],
+) -> tuple[PolishedLaws, tuple[LawMember, ...]]:
+    """Remove what whole trials do not bear out beside all else; returns also what stays. seen:
+    called with each model and its members.
     """
     while True:
         notify("whole trials, each number returned to the file's")
-        members = _members(whole, found, file)
-        seen(found, members)
-        gone = [m for m in members if m.refuted]
-        if not gone:
-            return found, tuple(members)
-        shared = [m for m in gone if m.coordinates[0][0] == SHARED_BY_ALL]
+        members = _members(trials, polished, file)
+        keep_model(polished, members)
+        refuted = [m for m in members if m.refuted]
+        if not refuted:
+            return polished, tuple(members)
+        shared = [m for m in refuted if m.coordinates[0][0] == SHARED_BY_ALL]
         if shared:  # one at a time: each may take up what another leaves
-            gone = [min(shared, key=lambda m: m.test.gain)]
+            refuted = [min(shared, key=lambda m: m.test.gain)]
         else:
-            gone = _weakest_by_joint(gone)
-        coordinates = [c for m in gone for c in m.coordinates]
-        found = polished(whole, without(whole, found, coordinates, file), rounds=1)
+            refuted = _weakest_by_joint(refuted)
+        coordinates = [c for m in refuted for c in m.coordinates]
+        polished = polish_laws(
+            trials, remove_coordinates(trials, polished, coordinates, file), rounds=1
+        )
 
 
 def _not_followed_better(
-    whole: WholeTrials, before: np.ndarray, found: Polished, members: Sequence[LawMember]
+    trials: WholeTrials, before: np.ndarray, polished: PolishedLaws, members: Sequence[LawMember]
 ) -> list[Coordinate]:
     """Coordinates of joints that the machine, mended, follows no better than by the file, and of
     what all share where that holds of all joints together.
     """
-    left = over_noise(whole, found.errors) / np.maximum(over_noise(whole, before), 1e-12)
-    gone = []
+    ratios = over_noise(trials, polished.errors) / np.maximum(over_noise(trials, before), 1e-12)
+    not_better = []
     for m in members:
         joint = m.coordinates[0][0]
-        share = float(np.exp(np.log(left).mean())) if joint == SHARED_BY_ALL else left[joint]
+        share = float(np.exp(np.log(ratios).mean())) if joint == SHARED_BY_ALL else ratios[joint]
         if share > 1.0 - CLOSED_LOOP.better:
-            gone += [c for c in m.coordinates if c not in gone]
-    return gone
+            not_better += [c for c in m.coordinates if c not in not_better]
+    return not_better
 
 
-def _weakest_by_joint(gone: Sequence[LawMember]) -> list[LawMember]:
-    """Of each joint the weakest."""
+def _weakest_by_joint(members: Sequence[LawMember]) -> list[LawMember]:
+    """Return the weakest member of each joint."""
     best: dict[int, LawMember] = {}
-    for m in gone:
+    for m in members:
         joint = m.coordinates[0][0]
         if joint not in best or m.test.gain < best[joint].test.gain:
             best[joint] = m
     return list(best.values())
 
 
-def _members(whole: WholeTrials, found: Polished, file: Sequence[ServoLaw]) -> list[LawMember]:
+def _members(
+    trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]
+) -> list[LawMember]:
     """What may be returned, each with its test: the machine without it, one step on."""
-    sets = _returnable(found.model)
-    machines = [without(whole, found, c, file) for c in sets]
-    every = whole.errors([m.laws for m in machines])
+    sets = _removable_sets(polished.model)
+    machines = [remove_coordinates(trials, polished, c, file) for c in sets]
+    all_errors = trials.errors([m.laws for m in machines])
     out = []
-    for coordinates, error in zip(sets, every, strict=True):
+    for coordinates, error in zip(sets, all_errors, strict=True):
         joint = coordinates[0][0]
         joints = list(range(error.shape[1])) if joint == SHARED_BY_ALL else [joint]
-        over = over_noise(whole, error)[joints].max()
-        tested = better_at(whole, error, found.errors, joints)
+        error_ratio = over_noise(trials, error)[joints].max()
+        test = better_at(trials, error, polished.errors, joints)
         change = max(
-            _change(found.model.fits[j].law, file[j], n, whole.problems[j]) for j, n in coordinates
+            _change(polished.model.fits[j].law, file[j], n, trials.problems[j])
+            for j, n in coordinates
         )
-        out.append(LawMember(coordinates, tested, float(over), change))
+        out.append(LawMember(coordinates, test, float(error_ratio), change))
     return out
 
 
@@ -471,7 +494,7 @@ def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> 
     return float(off / problem.scales.unit(name) * CLOSED_LOOP.units)
 
 
-def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
+def _removable_sets(model: FittedServos) -> list[tuple[Coordinate, ...]]:
     """Sets of coordinates that go together: the scale alone before kp and damping, which return
     together or not at all.
     """
@@ -483,7 +506,7 @@ def _returnable(model: FittedServos) -> list[tuple[Coordinate, ...]]:
                 out.append(tuple(law))
             else:
                 out.append(((j, name),))
-    shared = [n for n in model.shared if n not in (*STEPPED, "reach")]
+    shared = [n for n in model.shared if n not in (*STEP_NAMES, "reach")]
     for name in shared:
         names = CARRIED if name == "payload" else (name,)
         out.append(tuple((SHARED_BY_ALL, n) for n in names if n in model.shared))

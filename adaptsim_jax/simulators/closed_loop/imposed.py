@@ -79,8 +79,8 @@ class JointProblem:
 
     @property
     def ends(self) -> np.ndarray:
-        """Where the joint stops [2], rad: the ends of a range that the motion comes to, or beyond
-        them how far it came; infinite elsewhere.
+        """Positions where the joint stops [2], rad: the ends of a range that the motion comes to,
+        or beyond them how far it came; infinite elsewhere.
         """
         measured = np.asarray(self.lanes.measured)[np.asarray(self.lanes.counted) > 0]
         lowest, highest, (low, high) = measured.min(), measured.max(), self.servo.ends
@@ -98,16 +98,16 @@ class JointProblem:
         return np.maximum(np.asarray(self.lanes.counted).sum(1), 1)
 
     def only(self, which: np.ndarray) -> "JointProblem":
-        """Of some pieces alone, each left out by itself."""
+        """Return the problem of some pieces alone, each left out by itself."""
         lane = self.lanes
-        some = Lanes(
+        chosen = Lanes(
             lane.tables[..., which],
             lane.area[which],
             lane.begin[:, which],
             *(z[which] for z in lane[3:]),
         )
         groups = tuple(np.array([i]) for i in range(len(which)))
-        return replace(self, lanes=some, groups=groups)
+        return replace(self, lanes=chosen, groups=groups)
 
 
 def dynamics_along(model: mujoco.MjModel, servos: Sequence[Servo], motion: TrialMotion) -> Dynamics:
@@ -157,23 +157,25 @@ def heavier(
     model: mujoco.MjModel, body: int, mass: float, at: np.ndarray | None = None
 ) -> mujoco.MjModel:
     """A copy whose body weighs `mass` kg more, at a point [3] of its frame; None: at its centre."""
-    new = copy.copy(model)
+    heavier_model = copy.copy(model)
     before, centre = float(model.body_mass[body]), model.body_ipos[body].copy()
     place = centre if at is None else np.asarray(at)
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, model.body_iquat[body])
-    turn = turn.reshape(3, 3)
-    middle = (before * centre + mass * place) / max(before + mass, 1e-9)
-    moments = turn @ np.diag(model.body_inertia[body]) @ turn.T + SPHERE * abs(mass) * np.eye(3)
-    for m, x in ((before, centre - middle), (mass, place - middle)):
+    rotation = np.zeros(9)
+    mujoco.mju_quat2Mat(rotation, model.body_iquat[body])
+    rotation = rotation.reshape(3, 3)
+    centre_after = (before * centre + mass * place) / max(before + mass, 1e-9)
+    moments = rotation @ np.diag(model.body_inertia[body]) @ rotation.T + SPHERE * abs(
+        mass
+    ) * np.eye(3)
+    for m, x in ((before, centre - centre_after), (mass, place - centre_after)):
         moments += m * (x @ x * np.eye(3) - np.outer(x, x))
     size, axes = np.linalg.eigh(moments)
     axes *= np.sign(np.linalg.det(axes))
-    new.body_mass[body], new.body_ipos[body] = before + mass, middle
-    new.body_inertia[body] = np.maximum(size, 1e-12)
-    mujoco.mju_mat2Quat(new.body_iquat[body], axes.ravel())
-    mujoco.mj_setConst(new, mujoco.MjData(new))
-    return new
+    heavier_model.body_mass[body], heavier_model.body_ipos[body] = before + mass, centre_after
+    heavier_model.body_inertia[body] = np.maximum(size, 1e-12)
+    mujoco.mju_mat2Quat(heavier_model.body_iquat[body], axes.ravel())
+    mujoco.mj_setConst(heavier_model, mujoco.MjData(heavier_model))
+    return heavier_model
 
 
 @dataclass(frozen=True)
@@ -204,11 +206,11 @@ class Recording:
 
     @property
     def whole_step(self) -> float:
-        """Of the simulation of whole trials, s."""
+        """Step of the simulation of whole trials, s."""
         return float(self.model.opt.timestep)
 
     def restepped(self, times: float) -> "Recording":
-        """The same, whole trials in steps so many times as long."""
+        """Return the recording with whole trials in steps so many times as long."""
         model = copy.copy(self.model)
         model.opt.timestep = times * self.whole_step
         return replace(self, model=model)
@@ -221,12 +223,12 @@ def joint_problems(
     whose kp gives the size of forces.
     """
     model, servos = recording.model, recording.servos
-    plain = [dynamics_along(model, servos, m) for m in motions]
+    file_dynamics = [dynamics_along(model, servos, m) for m in motions]
     if recording.hand >= 0:
         loaded = heavier(model, recording.hand, 1.0)
-        more = [dynamics_along(loaded, servos, m) for m in motions]
+        loaded_dynamics = [dynamics_along(loaded, servos, m) for m in motions]
     else:
-        more = plain
+        loaded_dynamics = file_dynamics
     steps, rows = _sizes(recording)
     groups = groups_of(recording.pieces, len(recording.trials))
     hand = 1.0
@@ -235,10 +237,10 @@ def joint_problems(
     out = []
     for j, servo in enumerate(servos):
         lanes = [
-            _lane(recording, (j, piece), motions, (plain, more), (steps, rows))
+            _lane(recording, (j, piece), motions, (file_dynamics, loaded_dynamics), (steps, rows))
             for piece in recording.pieces
         ]
-        lane = _stacked(lanes)
+        lane = _stack_lanes(lanes)
         out.append(
             JointProblem(
                 servo,
@@ -248,17 +250,17 @@ def joint_problems(
                 _scales(lane, recording, j, laws[j], hand),
                 float(recording.noise[j]),
                 max(float(np.percentile(np.abs(m.v[:, j]), 99.5)) for m in motions),
-                max(_needed(d, m, j) for d, m in zip(plain, motions, strict=True)),
+                max(_required_torque(d, m, j) for d, m in zip(file_dynamics, motions, strict=True)),
                 groups,
             )
         )
     return tuple(out)
 
 
-def _needed(dynamics: Dynamics, motion: TrialMotion, j: int) -> float:
+def _required_torque(dynamics: Dynamics, motion: TrialMotion, j: int) -> float:
     """Torque that a joint's motion takes, exceeded by 0.5 % of the rows."""
-    takes = dynamics.inertia[:, j] * motion.a[:, j] + dynamics.coupling[:, j]
-    return float(np.percentile(np.abs(takes + dynamics.gravity[:, j]), 99.5)) + 1e-9
+    inertial_torque = dynamics.inertia[:, j] * motion.a[:, j] + dynamics.coupling[:, j]
+    return float(np.percentile(np.abs(inertial_torque + dynamics.gravity[:, j]), 99.5)) + 1e-9
 
 
 def _sizes(recording: Recording) -> tuple[int, int]:
@@ -281,15 +283,15 @@ def _lane(recording, place, motions, dynamics, sizes) -> dict[str, np.ndarray]:
     trial, motion = recording.trials[k], motions[k]
     time = trial.time
     grid = time[a] + dt * np.arange(steps)
-    plain, more = ([z[:, j] for z in d[k]] for d in dynamics)
-    columns = [*plain, *(y - x for x, y in zip(plain, more, strict=True)), motion.q[:, j]]
+    plain, loaded = ([z[:, j] for z in d[k]] for d in dynamics)
+    columns = [*plain, *(y - x for x, y in zip(plain, loaded, strict=True)), motion.q[:, j]]
     history = round(CLOSED_LOOP.history / dt)
     stamps = time[a] + dt * (np.arange(history + steps + 2) - history)
-    rest = a == 0 and begins_at_rest(trial.q[:, j])
-    since = time[a : b + 1] - time[a]
-    row = np.minimum((since / dt + 1e-9).astype(int), steps - 1)
-    unscored = 0.02 if rest else CLOSED_LOOP.unscored
-    counted = since > unscored
+    is_at_rest = a == 0 and begins_at_rest(trial.q[:, j])
+    elapsed = time[a : b + 1] - time[a]
+    row = np.minimum((elapsed / dt + 1e-9).astype(int), steps - 1)
+    unscored = 0.02 if is_at_rest else CLOSED_LOOP.unscored
+    is_counted = elapsed > unscored
 
     def padded(z, fill=0):
         return np.concatenate([z, np.full(rows - len(z), fill, dtype=np.asarray(z).dtype)])
@@ -297,11 +299,11 @@ def _lane(recording, place, motions, dynamics, sizes) -> dict[str, np.ndarray]:
     return {
         "tables": np.stack([np.interp(grid, time, z) for z in columns], 1),
         "area": _area(time, trial.target[:, j], stamps),
-        "begin": np.array([trial.q[a, j], 0.0] if rest else [motion.q[a, j], motion.v[a, j]]),
+        "begin": np.array([trial.q[a, j], 0.0] if is_at_rest else [motion.q[a, j], motion.v[a, j]]),
         "row": padded(row),
-        "share": padded(since / dt - row),
+        "share": padded(elapsed / dt - row),
         "measured": padded(trial.q[a : b + 1, j]),
-        "counted": padded(counted.astype(float)),
+        "counted": padded(is_counted.astype(float)),
         "error": padded(trial.target[a : b + 1, j] - trial.q[a : b + 1, j]),
     }
 
@@ -309,20 +311,20 @@ def _lane(recording, place, motions, dynamics, sizes) -> dict[str, np.ndarray]:
 def _area(time: np.ndarray, target: np.ndarray, stamps: np.ndarray) -> np.ndarray:
     """Running integral of a held target at some times; before its first row that one is held."""
     edges = np.append(time, time[-1] + 10.0)
-    whole = np.append(0.0, np.cumsum(np.diff(edges) * target))
+    area_at_edges = np.append(0.0, np.cumsum(np.diff(edges) * target))
     return np.where(
-        stamps < time[0], (stamps - time[0]) * target[0], np.interp(stamps, edges, whole)
+        stamps < time[0], (stamps - time[0]) * target[0], np.interp(stamps, edges, area_at_edges)
     )
 
 
-def _stacked(lanes: list[dict[str, np.ndarray]]) -> Lanes:
+def _stack_lanes(lanes: list[dict[str, np.ndarray]]) -> Lanes:
     last = ("tables", "begin")
-    both = {
+    arrays = {
         key: np.stack([lane[key] for lane in lanes], -1 if key in last else 0)
         for key in Lanes._fields
     }
     with jax.enable_x64(True):
-        return Lanes(**{k: jax.numpy.asarray(z) for k, z in both.items()})
+        return Lanes(**{k: jax.numpy.asarray(z) for k, z in arrays.items()})
 
 
 def _scales(lane: Lanes, recording: Recording, j: int, law: ServoLaw, hand: float) -> Scales:
@@ -332,6 +334,6 @@ def _scales(lane: Lanes, recording: Recording, j: int, law: ServoLaw, hand: floa
         errors.append(trial.target[a : b + 1, j] - trial.q[a : b + 1, j])
     error = max(float(np.std(np.concatenate(errors))), 1e-6)
     inertia = float(np.mean(np.asarray(lane.tables)[:, 0]))
-    stiff = law.damping if recording.servos[j].follows_speed else law.kp
+    stiffness = law.damping if recording.servos[j].follows_speed else law.kp
     swing = max(float(np.std(t.q[:, j])) for t in recording.trials)
-    return Scales(max(stiff * error, 1e-9), inertia, hand, error, swing)
+    return Scales(max(stiffness * error, 1e-9), inertia, hand, error, swing)

@@ -16,7 +16,7 @@ import numpy as np
 
 from adaptsim_jax.logs.log import Log
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 
 OPEN = 1e6  # N m (N): a limit that is none
 SHARP_REFERENCE = (0.004, 1.0)
@@ -67,7 +67,9 @@ class ServoLaw(NamedTuple):
     reach: Any = 0.0
 
 
-LIGHTER = 0.3  # of a joint's bodies, by which a rotor of less than nothing may make it lighter
+MAX_LIGHTENING = (
+    0.3  # of a joint's bodies, by which a rotor of less than nothing may make it lighter
+)
 
 SCALED = ("kp", "damping", "rub", "limit")
 """Numbers that the coordinate `scale` multiplies."""
@@ -126,43 +128,43 @@ class Servo:
         return self.allowed("scale", "damping", "rub")
 
     def allowed(self, *names: str) -> tuple[str, ...]:
-        """Of some numbers those that may be fitted."""
+        """Return those of some numbers that may be fitted."""
         return tuple(n for n in names if n not in self.excluded)
 
 
-def servos_of(made: Stepped, log: Log) -> tuple[Servo, ...]:
+def servos_of(stepped_model: SteppedModel, log: Log) -> tuple[Servo, ...]:
     """The servos of a machine of which each logged joint has one, or is tied to others; empty for
     any other machine.
     """
-    model = made.model
+    model = stepped_model.model
     if log.input_kind != "command":
         return ()
-    lift, inputs, tied = _lift(model), set(log.input_names), _tied(model)
-    found = []
+    lift, inputs, coupled = _compensated_share(model), set(log.input_names), _coupled_joints(model)
+    servos = []
     for j, name in enumerate(log.joint_names):
         joint = model.joint(name).id
-        mine = [k for k in range(model.nu) if _drives(model, k, joint)]
-        if not mine and joint in tied:
+        actuators = [k for k in range(model.nu) if _drives(model, k, joint)]
+        if not actuators and joint in coupled:
             continue
-        if len(mine) != 1 or not _is_servo(model, mine[0]):
+        if len(actuators) != 1 or not _is_servo(model, actuators[0]):
             return ()
-        command = next((c for c in (model.actuator(mine[0]).name, name) if c in inputs), None)
+        command = next((c for c in (model.actuator(actuators[0]).name, name) if c in inputs), None)
         if command is None:
             return ()
-        found.append(_servo(model, j, (name, command), mine[0], lift))
-    return tuple(found)
+        servos.append(_servo(model, j, (name, command), actuators[0], lift))
+    return tuple(servos)
 
 
-def _tied(model: mujoco.MjModel) -> set[int]:
+def _coupled_joints(model: mujoco.MjModel) -> set[int]:
     """Joints that an equality or a tendon ties to others."""
-    tied = set()
+    coupled = set()
     for e in np.flatnonzero(model.eq_active0):
         if model.eq_type[e] == int(mujoco.mjtEq.mjEQ_JOINT) and model.eq_obj2id[e] >= 0:
-            tied |= {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
+            coupled |= {int(model.eq_obj1id[e]), int(model.eq_obj2id[e])}
     for w in range(model.nwrap):
         if model.wrap_type[w] == int(mujoco.mjtWrap.mjWRAP_JOINT):
-            tied.add(int(model.wrap_objid[w]))
-    return tied
+            coupled.add(int(model.wrap_objid[w]))
+    return coupled
 
 
 def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
@@ -173,23 +175,25 @@ def _drives(model: mujoco.MjModel, actuator: int, joint: int) -> bool:
 def _is_servo(model: mujoco.MjModel, k: int) -> bool:
     """Whether an actuator is a position or velocity servo, with a filter at most."""
     bias = model.actuator_biasprm[k]
-    affine = model.actuator_biastype[k] == int(mujoco.mjtBias.mjBIAS_AFFINE)
-    fixed = model.actuator_gaintype[k] == int(mujoco.mjtGain.mjGAIN_FIXED)
+    is_affine = model.actuator_biastype[k] == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    has_one_gain = model.actuator_gaintype[k] == int(mujoco.mjtGain.mjGAIN_FIXED)
     dynamics = model.actuator_dyntype[k]
-    plain = dynamics in (
+    has_filter_at_most = dynamics in (
         int(mujoco.mjtDyn.mjDYN_NONE),
         int(mujoco.mjtDyn.mjDYN_FILTER),
         int(mujoco.mjtDyn.mjDYN_FILTEREXACT),
     )
-    return bool(affine and fixed and plain and (bias[1] < 0.0 or bias[2] < 0.0))
+    return bool(
+        is_affine and has_one_gain and has_filter_at_most and (bias[1] < 0.0 or bias[2] < 0.0)
+    )
 
 
-def _lift(model: mujoco.MjModel) -> float:
+def _compensated_share(model: mujoco.MjModel) -> float:
     """Share of gravity that the file compensates: the median of its bodies with a mass."""
-    heavy = model.body_mass[1:] > 0.0
-    if not model.ngravcomp or not heavy.any():
+    has_mass = model.body_mass[1:] > 0.0
+    if not model.ngravcomp or not has_mass.any():
         return 0.0
-    return float(np.median(model.body_gravcomp[1:][heavy]))
+    return float(np.median(model.body_gravcomp[1:][has_mass]))
 
 
 def _servo(model: mujoco.MjModel, j: int, names: tuple[str, str], k: int, lift: float) -> Servo:
@@ -200,8 +204,8 @@ def _servo(model: mujoco.MjModel, j: int, names: tuple[str, str], k: int, lift: 
     gain, bias = float(model.actuator_gainprm[k, 0]), model.actuator_biasprm[k]
     kp, kv = -float(bias[1]) * gear**2, -float(bias[2]) * gear**2
     passive = float(model.dof_damping[dof])
-    by_speed = kp <= 0.0
-    stiff = -float(bias[2] if by_speed else bias[1])
+    follows_speed = kp <= 0.0
+    stiffness = -float(bias[2] if follows_speed else bias[1])
     limit = OPEN
     if model.actuator_forcelimited[k]:
         limit = float(np.abs(model.actuator_forcerange[k]).min()) * abs(gear)
@@ -233,12 +237,12 @@ def _servo(model: mujoco.MjModel, j: int, names: tuple[str, str], k: int, lift: 
         dof,
         int(joint.qposadr[0]),
         gear,
-        by_speed,
+        follows_speed,
         joint.type[0] == int(mujoco.mjtJoint.mjJNT_SLIDE),
         law,
         passive,
         float(model.dof_armature[dof]),
-        (gain / (stiff * gear), float(bias[0]) / (stiff * gear)),
+        (gain / (stiffness * gear), float(bias[0]) / (stiffness * gear)),
         _command_range(model, k),
         _ends(model, joint.id),
         float(model.qpos_spring[joint.qposadr[0]]) if model.jnt_stiffness[joint.id] else 0.0,
@@ -279,36 +283,36 @@ class Scales:
 
     def unit(self, name: str) -> float:
         """The size of a coordinate of 1."""
-        fixed = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
-        fixed |= {"damping_delay": 1e-3, "shift": 1e-3, "reach": 0.05}
-        own = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
-        own["spring"] = self.force / max(self.swing, 1e-3)
-        return (fixed | own)[name]
+        constants = {"delay": 0.01, "lag": 0.01, "lift": 1.0, "offset": 0.01, "zero": 0.05}
+        constants |= {"damping_delay": 1e-3, "shift": 1e-3, "reach": 0.05}
+        by_joint = {"rub": self.force, "rotor": self.inertia, "payload": max(self.hand, 1e-3)}
+        by_joint["spring"] = self.force / max(self.swing, 1e-3)
+        return (constants | by_joint)[name]
 
 
 LOGARITHMIC = ("scale", "damping", "limit")
 
 
-def moved(
+def step_law(
     servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...], step: np.ndarray
 ) -> ServoLaw:
     """The law a step [len(free)] away in the coordinates of `free`, within what a servo may have.
 
     A step of a logarithmic coordinate is at most 2.
     """
-    by = dict(zip(free, np.clip(step, -2.0, 2.0), strict=True))
-    times = float(np.exp(by.pop("scale", 0.0)))
+    steps = dict(zip(free, np.clip(step, -2.0, 2.0), strict=True))
+    factor = float(np.exp(steps.pop("scale", 0.0)))
     new = law._asdict()
-    fitted = {"kp", *free} if not servo.follows_speed else {"damping", *free}
+    scaled = {"kp", *free} if not servo.follows_speed else {"damping", *free}
     for name in SCALED:
-        if name in fitted and new[name] < OPEN:
-            new[name] *= times
-    for name, z in by.items():
+        if name in scaled and new[name] < OPEN:
+            new[name] *= factor
+    for name, z in steps.items():
         if name in LOGARITHMIC:
             new[name] *= float(np.exp(z))
         else:
             new[name] += z * scales.unit(name)
-    return bounded(servo, scales, ServoLaw(**new), free)
+    return clip_law(servo, scales, ServoLaw(**new), free)
 
 
 def ranges(servo: Servo) -> dict[str, tuple[float, float]]:
@@ -329,7 +333,7 @@ def ranges(servo: Servo) -> dict[str, tuple[float, float]]:
     }
 
 
-def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
+def clip_law(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) -> ServoLaw:
     """The law with what is fitted of it within its range."""
     new = law._asdict()
     for name, ends in ranges(servo).items():
@@ -342,16 +346,16 @@ def bounded(servo: Servo, scales: Scales, law: ServoLaw, free: tuple[str, ...]) 
 
 
 def inner_damping(servo: Servo, damping: Any) -> Any:
-    """Of a damping the part that is the controller's: what is beyond the joint's own."""
+    """Return the part of a damping that is the controller's: what is beyond the joint's own."""
     return damping - np.minimum(servo.passive, damping)
 
 
-def stacked(laws) -> ServoLaw:
+def stack_laws(laws) -> ServoLaw:
     """Several laws as one of arrays [B]."""
     return ServoLaw(*(np.array(z, float) for z in zip(*laws, strict=True)))
 
 
-def with_model(servo: Servo, model: mujoco.MjModel, law: ServoLaw) -> None:
+def put_law(servo: Servo, model: mujoco.MjModel, law: ServoLaw) -> None:
     """Put a law into a MuJoCo model, in place, but for delay, lag, payload and lift."""
     g, k, dof = servo.gear, servo.actuator, servo.dof
     inner = law.damping - min(servo.passive, law.damping)
@@ -363,7 +367,7 @@ def with_model(servo: Servo, model: mujoco.MjModel, law: ServoLaw) -> None:
     model.dof_frictionloss[dof] = law.rub
     rotor = servo.armature + law.rotor - law.damping_delay * law.damping
     bodies = max(1.0 / float(model.dof_invweight0[dof]) - servo.armature, 0.0)
-    model.dof_armature[dof] = max(rotor, -LIGHTER * bodies)
+    model.dof_armature[dof] = max(rotor, -MAX_LIGHTENING * bodies)
     model.jnt_stiffness[int(model.dof_jntid[dof])] = law.spring
     model.qpos_spring[servo.qpos] = servo.rest
     if law.sharp:

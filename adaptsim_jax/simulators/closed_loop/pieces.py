@@ -59,40 +59,40 @@ def trials_of(log: Log, servos: Sequence[Servo]) -> tuple[Trial, ...]:
     commands = [column[s.command] for s in servos]
     factor, offset = np.array([s.target for s in servos]).T
     low, high = np.array([s.command_range for s in servos]).T
-    tied = [j for j in range(len(log.joint_names)) if j not in joints]
-    rest = [name for name in log.input_names if name not in {s.command for s in servos}]
+    coupled = [j for j in range(len(log.joint_names)) if j not in joints]
+    other_inputs = [name for name in log.input_names if name not in {s.command for s in servos}]
     out = []
     for trial in log.trials:
-        begins = {log.joint_names[j]: float(np.nan_to_num(trial.q[0, j])) for j in tied}
-        held = _held(trial.u)
+        begins = {log.joint_names[j]: float(np.nan_to_num(trial.q[0, j])) for j in coupled}
+        held = _hold_commands(trial.u)
         out.append(
             Trial(
                 trial.name,
                 trial.time - trial.time[0],
-                _filled(trial.time, trial.q[:, joints]),
+                _fill_angles(trial.time, trial.q[:, joints]),
                 np.clip(held[:, commands], low, high) * factor + offset,
                 begins,
-                {name: held[:, column[name]] for name in rest},
+                {name: held[:, column[name]] for name in other_inputs},
             )
         )
     return tuple(out)
 
 
-def _held(u: np.ndarray) -> np.ndarray:
+def _hold_commands(u: np.ndarray) -> np.ndarray:
     """Commands of which a missing row holds the one before."""
     rows = np.where(np.isfinite(u), np.arange(len(u))[:, None], 0)
     rows = np.maximum.accumulate(rows, 0)
     return np.nan_to_num(np.take_along_axis(u, rows, 0))
 
 
-def _filled(time: np.ndarray, q: np.ndarray) -> np.ndarray:
+def _fill_angles(time: np.ndarray, q: np.ndarray) -> np.ndarray:
     """Angles, where they were not read those of local cubics."""
     if np.isfinite(q).all():
         return q
     return np.where(np.isfinite(q), q, local_motion(time, q, None)[0])
 
 
-def smoothed(time: np.ndarray, x: np.ndarray) -> TrialMotion:
+def smooth(time: np.ndarray, x: np.ndarray) -> TrialMotion:
     """Local cubics over `CLOSED_LOOP.smooth` s, at least five rows."""
     dt = float(np.median(np.diff(time)))
     rows = max(5, 2 * round(0.5 * CLOSED_LOOP.smooth / dt) + 1)
@@ -108,11 +108,11 @@ def smoothed(time: np.ndarray, x: np.ndarray) -> TrialMotion:
 def imposed_motion(trial: Trial, simulated: TrialMotion | None = None) -> TrialMotion:
     """The motion that is imposed: the measured one, or a simulated one and the smoothed rest."""
     if simulated is None:
-        return smoothed(trial.time, trial.q)
-    rest = smoothed(trial.time, trial.q - simulated.q)
+        return smooth(trial.time, trial.q)
+    remainder = smooth(trial.time, trial.q - simulated.q)
     # mean accelerations: at the rows they would be locked to the targets' steps
     mean = np.gradient(simulated.v, trial.time, axis=0)
-    return TrialMotion(simulated.q + rest.q, simulated.v + rest.v, mean + rest.a)
+    return TrialMotion(simulated.q + remainder.q, simulated.v + remainder.v, mean + remainder.a)
 
 
 def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
@@ -122,13 +122,13 @@ def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
     """
     out = []
     for k, trial in enumerate(trials):
-        speed = np.abs(smoothed(trial.time, trial.q).v).max(1)
+        speed = np.abs(smooth(trial.time, trial.q).v).max(1)
         edges = _edges(trial.time, speed)
         out += [(k, a, b) for a, b in pairwise(edges) if b - a >= 8]
     if len(out) > CLOSED_LOOP.pieces:
         moves = [np.std(trials[k].q[a:b], 0).sum() for k, a, b in out]
-        most = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])
-        out = [out[i] for i in most]
+        chosen = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])
+        out = [out[i] for i in chosen]
     return tuple(out)
 
 
@@ -138,8 +138,8 @@ def _edges(time: np.ndarray, speed: np.ndarray) -> list[int]:
     count = max(1, int(np.ceil(span / CLOSED_LOOP.longest)))
     edges = [0]
     for k in range(1, count):
-        near = np.flatnonzero(np.abs(time - span * k / count) < 0.2 * CLOSED_LOOP.longest)
-        edges.append(int(near[np.argmin(speed[near])]))
+        candidates = np.flatnonzero(np.abs(time - span * k / count) < 0.2 * CLOSED_LOOP.longest)
+        edges.append(int(candidates[np.argmin(speed[candidates])]))
     return [*edges, len(time) - 1]
 
 

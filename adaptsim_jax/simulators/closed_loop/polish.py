@@ -14,15 +14,15 @@ from adaptsim_jax.simulators.closed_loop.fit import (
     explains,
     paired_t,
     prior_of,
-    pulled,
-    solved_within,
+    pull_loss,
+    solve_within,
 )
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Recording
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, bounded, moved, ranges
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, clip_law, ranges, step_law
 from adaptsim_jax.simulators.closed_loop.whole import (
     blocks_of,
-    simulated,
-    stepped,
+    simulate,
+    simulate_once,
     trial_errors,
 )
 
@@ -67,12 +67,12 @@ class FittedServos:
     @property
     def coordinates(self) -> list[tuple[int, str]]:
         """(joint, name) of what is fitted; joint -1: of all."""
-        own = [(j, n) for j, f in enumerate(self.fits) for n in f.free]
-        return own + [(SHARED_BY_ALL, n) for n in self.shared]
+        of_joints = [(j, n) for j, f in enumerate(self.fits) for n in f.free]
+        return of_joints + [(SHARED_BY_ALL, n) for n in self.shared]
 
 
 @dataclass(frozen=True)
-class Polished:
+class PolishedLaws:
     """Servos fitted to whole trials.
 
     Args:
@@ -112,9 +112,9 @@ class WholeTrials:
         machines need it, in a third of the time.
         """
         if roughly:
-            paths = stepped(self.recording.restepped(2.0), machines)
+            paths = simulate_once(self.recording.restepped(2.0), machines)
         else:
-            paths = simulated(self.recording, machines)
+            paths = simulate(self.recording, machines)
         return [trial_errors(self.recording, m) * self.counted[:, None] for m in paths]
 
     def first(self, seconds: float) -> "WholeTrials":
@@ -137,24 +137,26 @@ class WholeTrials:
         np.add.at(out, self.block[inside], np.square(error[inside]))
         return out
 
-    def moved(self, model: FittedServos, steps: np.ndarray) -> FittedServos:
+    def step_from(self, model: FittedServos, steps: np.ndarray) -> FittedServos:
         """A step [K] away."""
-        at = dict(zip(model.coordinates, steps, strict=True))
+        step_of = dict(zip(model.coordinates, steps, strict=True))
         fits = []
         for j, (fit, p) in enumerate(zip(model.fits, self.problems, strict=True)):
-            own = np.array([at[j, n] for n in fit.free])
-            law = moved(p.servo, p.scales, fit.law, fit.free, own) if fit.free else fit.law
+            joint_steps = np.array([step_of[j, n] for n in fit.free])
+            law = (
+                step_law(p.servo, p.scales, fit.law, fit.free, joint_steps) if fit.free else fit.law
+            )
             for name in model.shared:
                 unit = self.unit(p, (SHARED_BY_ALL, name))
-                value = getattr(law, name) + at[SHARED_BY_ALL, name] * unit
-                law = bounded(p.servo, p.scales, law._replace(**{name: value}), (name,))
+                value = getattr(law, name) + step_of[SHARED_BY_ALL, name] * unit
+                law = clip_law(p.servo, p.scales, law._replace(**{name: value}), (name,))
             fits.append(fit.of(law))
         return FittedServos(tuple(fits), model.shared)
 
-    def room(self, model: FittedServos, most: float) -> tuple[np.ndarray, np.ndarray]:
-        """How far each coordinate may go, down and up, [K]: at most `most`."""
-        low = {c: -most for c in model.coordinates}
-        high = {c: most for c in model.coordinates}
+    def room(self, model: FittedServos, max_step: float) -> tuple[np.ndarray, np.ndarray]:
+        """How far each coordinate may go, down and up, [K]: at most `max_step`."""
+        low = {c: -max_step for c in model.coordinates}
+        high = {c: max_step for c in model.coordinates}
         for j, (fit, p) in enumerate(zip(model.fits, self.problems, strict=True)):
             ends = ranges(p.servo)
             for at in [(j, n) for n in fit.free] + [(SHARED_BY_ALL, n) for n in model.shared]:
@@ -174,10 +176,10 @@ class WholeTrials:
         """The size of a rotor of one value for all joints, kg m^2."""
         return float(np.median([p.scales.inertia for p in self.problems]))
 
-    def pulled(self, model: FittedServos) -> float:
+    def pull_loss(self, model: FittedServos) -> float:
         """What the pull to the file's scale adds to the loss."""
         rows = zip(self.problems, model.fits, strict=True)
-        return sum(pulled(p, f) for p, f in rows if f.free)
+        return sum(pull_loss(p, f) for p, f in rows if f.free)
 
 
 def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> WholeTrials:
@@ -186,130 +188,137 @@ def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> Whol
     return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
 
 
-def weights(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+def weights(trials: WholeTrials, error: np.ndarray) -> np.ndarray:
     """[n] of joints."""
-    noise = np.array([p.noise for p in whole.problems])
+    noise = np.array([p.noise for p in trials.problems])
     return 1.0 / (np.square(error).mean(0) + np.square(noise))
 
 
-def polished(whole: WholeTrials, model: FittedServos, rounds: int = 8) -> Polished:
+def polish_laws(trials: WholeTrials, model: FittedServos, rounds: int = 8) -> PolishedLaws:
     """Gauss and Newton's fit over whole trials."""
-    error = whole.errors([model.laws])[0]
+    error = trials.errors([model.laws])[0]
     damping = 1e-3
     while True:
-        weight = weights(whole, error)
-        before = float((np.square(error) * weight).sum()) + whole.pulled(model)
-        hess, slope = _linearised(whole, model, error, weight)
-        prior_hess, prior_slope = _pull(whole, model)
+        weight = weights(trials, error)
+        before = float((np.square(error) * weight).sum()) + trials.pull_loss(model)
+        hess, slope = _linearise(trials, model, error, weight)
+        prior_hess, prior_slope = _pull(trials, model)
         if not model.coordinates or rounds == 0:
             break
         total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
         sizes = damping * np.array([1e-3, 1.0, 30.0, 1e3])
-        own = np.diag(np.diag(total))
-        room = whole.room(model, 0.7)
-        steps = [solved_within(total + z * own, right, *room) for z in sizes]
-        tries = [whole.moved(model, step) for step in steps]
-        every = whole.errors([t.laws for t in tries])
+        diagonal = np.diag(np.diag(total))
+        room = trials.room(model, 0.7)
+        steps = [solve_within(total + z * diagonal, right, *room) for z in sizes]
+        tries = [trials.step_from(model, step) for step in steps]
+        errors_of_tries = trials.errors([t.laws for t in tries])
         loss = [
-            float((np.square(e) * weight).sum()) + whole.pulled(t)
-            for e, t in zip(every, tries, strict=True)
+            float((np.square(e) * weight).sum()) + trials.pull_loss(t)
+            for e, t in zip(errors_of_tries, tries, strict=True)
         ]
         best = int(np.argmin(loss))
         if not loss[best] < before:
             break
-        model, error, rounds = tries[best], every[best], rounds - 1
+        model, error, rounds = tries[best], errors_of_tries[best], rounds - 1
         damping = float(np.clip(sizes[best], 1e-7, 1e3))
         if loss[best] > before * (1.0 - CLOSED_LOOP.settled):
             rounds = 0
-    return Polished(model, error, hess, slope, _jackknifed(whole, model, hess, slope))
+    return PolishedLaws(model, error, hess, slope, _jackknife_steps(trials, model, hess, slope))
 
 
-def _linearised(whole: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
+def _linearise(trials: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
     """Normal equations by piece, by differences."""
     at = model.coordinates
     size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
-    changed = [whole.moved(model, row) for row in np.diag(size)]
-    count = len(whole.recording.pieces)
+    changed = [trials.step_from(model, row) for row in np.diag(size)]
+    count = len(trials.recording.pieces)
     hess, slope = np.zeros((count, len(at), len(at))), np.zeros((count, len(at)))
     if not at:
         return hess, slope
-    here, *every = whole.errors([m.laws for m in (model, *changed)], roughly=True)
-    derivative = np.stack([(e - here) / h for e, h in zip(every, size, strict=True)], -1)
+    base_error, *changed_errors = trials.errors([m.laws for m in (model, *changed)], roughly=True)
+    derivative = np.stack(
+        [(e - base_error) / h for e, h in zip(changed_errors, size, strict=True)], -1
+    )
     for i in range(count):
-        rows = whole.block == i
+        rows = trials.block == i
         d = derivative[rows]
         hess[i] = np.einsum("rja,rjb,j->ab", d, d, weight)
         slope[i] = np.einsum("rja,rj,j->a", d, error[rows], weight)
     return hess, slope
 
 
-def _pull(whole: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
+def _pull(trials: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
     count = len(model.coordinates)
     hess, slope, k = np.zeros((count, count)), np.zeros(count), 0
-    for p, f in zip(whole.problems, model.fits, strict=True):
+    for p, f in zip(trials.problems, model.fits, strict=True):
         size = len(f.free)
         hess[k : k + size, k : k + size], slope[k : k + size] = prior_of(p, f)
         k += size
     return hess, slope
 
 
-def _jackknifed(whole: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
-    prior = _pull(whole, model)
-    groups = whole.problems[0].groups
+def _jackknife_steps(trials: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
+    prior = _pull(trials, model)
+    groups = trials.problems[0].groups
     total, right = hess.sum(0) + prior[0], slope.sum(0) + prior[1]
-    room = whole.room(model, 0.7)
-    here = solved_within(total, right, *room)
-    every = [solved_within(total - hess[g].sum(0), right - slope[g].sum(0), *room) for g in groups]
-    return np.array(every) - here
+    room = trials.room(model, 0.7)
+    full_step = solve_within(total, right, *room)
+    steps = [solve_within(total - hess[g].sum(0), right - slope[g].sum(0), *room) for g in groups]
+    return np.array(steps) - full_step
 
 
-def left_out_errors(whole: WholeTrials, found: Polished) -> np.ndarray:
+def held_out_errors(trials: WholeTrials, polished: PolishedLaws) -> np.ndarray:
     """Errors [rows, n] rad of whole trials, each group of pieces by the numbers that one step
     without it gives.
     """
-    out = found.errors.copy()
-    groups = whole.problems[0].groups
-    if not found.model.coordinates:
+    out = polished.errors.copy()
+    groups = trials.problems[0].groups
+    if not polished.model.coordinates:
         return out
-    models = [whole.moved(found.model, np.clip(step, -0.7, 0.7)) for step in found.steps]
-    every = whole.errors([m.laws for m in models])
-    for group, error in zip(groups, every, strict=True):
-        rows = np.isin(whole.block, group)
+    models = [trials.step_from(polished.model, np.clip(step, -0.7, 0.7)) for step in polished.steps]
+    errors_by_group = trials.errors([m.laws for m in models])
+    for group, error in zip(groups, errors_by_group, strict=True):
+        rows = np.isin(trials.block, group)
         out[rows] = error[rows]
     return out
 
 
-def without(
-    whole: WholeTrials, found: Polished, gone: Sequence[Coordinate], base: Sequence[ServoLaw]
+def remove_coordinates(
+    trials: WholeTrials,
+    polished: PolishedLaws,
+    removed: Sequence[Coordinate],
+    base: Sequence[ServoLaw],
 ) -> FittedServos:
     """The servos with some coordinates as the laws `base` have them, the others one step on."""
-    model, at = found.model, found.model.coordinates
+    model, at = polished.model, polished.model.coordinates
     fits = []
     for j, (fit, law) in enumerate(zip(model.fits, base, strict=True)):
-        own = [name for k, name in gone if k in (j, SHARED_BY_ALL)]
-        free = tuple(n for n in fit.free if (j, n) not in gone)
-        fits.append(LawFit(_returned(fit.law, law, own, fit.free), free))
-    shared = tuple(n for n in model.shared if (SHARED_BY_ALL, n) not in gone)
+        base_names = [name for k, name in removed if k in (j, SHARED_BY_ALL)]
+        free = tuple(n for n in fit.free if (j, n) not in removed)
+        fits.append(LawFit(_with_base_values(fit.law, law, base_names, fit.free), free))
+    shared = tuple(n for n in model.shared if (SHARED_BY_ALL, n) not in removed)
     new = FittedServos(tuple(fits), shared)
-    stay = [i for i, c in enumerate(at) if c not in gone]
-    if not stay:
+    remaining = [i for i, c in enumerate(at) if c not in removed]
+    if not remaining:
         return new
-    off = np.array([_distance(whole, model, new, c) if c in gone else 0.0 for c in at])
-    prior_hess, prior_slope = _pull(whole, model)
-    hess, slope = found.hess.sum(0) + prior_hess, found.slope.sum(0) + prior_slope
-    rest = slope[stay] + hess[stay] @ off
-    room = whole.room(new, 0.5)
-    return whole.moved(new, solved_within(hess[np.ix_(stay, stay)], rest, *room))
+    distances = np.array([_distance(trials, model, new, c) if c in removed else 0.0 for c in at])
+    prior_hess, prior_slope = _pull(trials, model)
+    hess, slope = polished.hess.sum(0) + prior_hess, polished.slope.sum(0) + prior_slope
+    right = slope[remaining] + hess[remaining] @ distances
+    room = trials.room(new, 0.5)
+    return trials.step_from(new, solve_within(hess[np.ix_(remaining, remaining)], right, *room))
 
 
-def _returned(law: ServoLaw, base: ServoLaw, names: Sequence[str], free: Sequence[str]) -> ServoLaw:
+def _with_base_values(
+    law: ServoLaw, base: ServoLaw, names: Sequence[str], free: Sequence[str]
+) -> ServoLaw:
     """A law with some coordinates of another. The scale alone takes with it what it multiplies."""
     new = law._asdict()
     if "scale" in names and "damping" not in names and base.kp > 0.0:
-        times = base.kp / law.kp
+        factor = base.kp / law.kp
         for name in ("kp", "damping", "rub", "limit"):
             if name == "kp" or name in free:
-                new[name] *= times
+                new[name] *= factor
     elif "scale" in names:
         new |= {"kp": base.kp, "damping": base.damping}
     elif "damping" in names:
@@ -322,28 +331,28 @@ def _returned(law: ServoLaw, base: ServoLaw, names: Sequence[str], free: Sequenc
     return ServoLaw(**new)
 
 
-def _distance(whole: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
-    """By how many units of its coordinate a number was moved."""
+def _distance(trials: WholeTrials, model: FittedServos, new: FittedServos, at: Coordinate) -> float:
+    """Return by how many units of its coordinate a number was moved."""
     j, name = max(at[0], 0), at[1]
-    one, other, p = model.fits[j].law, new.fits[j].law, whole.problems[j]
-    stiff = "damping" if p.servo.follows_speed else "kp"
+    law, new_law, p = model.fits[j].law, new.fits[j].law, trials.problems[j]
+    stiffness = "damping" if p.servo.follows_speed else "kp"
 
-    def times(number):
-        return float(np.log(getattr(other, number) / getattr(one, number)))
+    def log_ratio(number):
+        return float(np.log(getattr(new_law, number) / getattr(law, number)))
 
     if name == "scale":
-        return times(stiff)
+        return log_ratio(stiffness)
     if name == "damping":
-        return times("damping") - times("kp")
+        return log_ratio("damping") - log_ratio("kp")
     if name == "limit":
         return 0.0
-    return (getattr(other, name) - getattr(one, name)) / whole.unit(p, at)
+    return (getattr(new_law, name) - getattr(law, name)) / trials.unit(p, at)
 
 
-def over_noise(whole: WholeTrials, error: np.ndarray) -> np.ndarray:
+def over_noise(trials: WholeTrials, error: np.ndarray) -> np.ndarray:
     """RMS errors over the noise [n]."""
-    noise = np.array([p.noise for p in whole.problems])
-    return np.sqrt(np.square(error[whole.counted]).mean(0)) / noise
+    noise = np.array([p.noise for p in trials.problems])
+    return np.sqrt(np.square(error[trials.counted]).mean(0)) / noise
 
 
 class Better(NamedTuple):
@@ -366,18 +375,24 @@ class Better(NamedTuple):
 
 
 def better_at(
-    whole: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
+    trials: WholeTrials, before: np.ndarray, after: np.ndarray, joints: Sequence[int]
 ) -> Better:
     """How errors [rows, n] `after` are better than `before` at some joints."""
-    rows = np.bincount(whole.block[whole.block >= 0], minlength=len(whole.recording.pieces))
-    noise = np.array([whole.problems[j].noise for j in joints])
-    one, other = (
-        np.sqrt(whole.by_piece(e)[:, joints] / np.maximum(rows, 1)[:, None]) / noise
+    rows = np.bincount(trials.block[trials.block >= 0], minlength=len(trials.recording.pieces))
+    noise = np.array([trials.problems[j].noise for j in joints])
+    before_over_noise, after_over_noise = (
+        np.sqrt(trials.by_piece(e)[:, joints] / np.maximum(rows, 1)[:, None]) / noise
         for e in (before, after)
     )
     floor = 0.05  # of the squared noise, below which nothing counts
-    by_joint = np.clip(np.log((one**2 + floor) / (other**2 + floor)), -1.0, 1.0)
+    by_joint = np.clip(
+        np.log((before_over_noise**2 + floor) / (after_over_noise**2 + floor)), -1.0, 1.0
+    )
     total = by_joint.sum(1)
-    share = 1.0 - float(np.square(other).sum() / max(np.square(one).sum(), 1e-12))
-    shown = explains(one.max(1), other.max(1))
-    return Better(float(total.mean()), share, paired_t(total), int((total > 0.0).sum()), shown)
+    share = 1.0 - float(
+        np.square(after_over_noise).sum() / max(np.square(before_over_noise).sum(), 1e-12)
+    )
+    explains_pieces = explains(before_over_noise.max(1), after_over_noise.max(1))
+    return Better(
+        float(total.mean()), share, paired_t(total), int((total > 0.0).sum()), explains_pieces
+    )

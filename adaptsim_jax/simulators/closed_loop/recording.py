@@ -15,7 +15,7 @@ from adaptsim_jax.simulators.closed_loop.pieces import (
     pieces_of,
     trials_of,
 )
-from adaptsim_jax.simulators.mujoco.build import stepped, turns_of_balls
+from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
 
 NO_LIFT = 1e-12  # share of gravity that is compensated nowhere, and can be changed
 
@@ -26,9 +26,9 @@ def recording_of(source: Source, log: Log) -> Recording | None:
         return None
     if turns_of_balls(source, log):
         return None
-    made = stepped(source, log, _prepared)
-    model = made.model
-    servos = _late_by_file(source, servos_of(made, log))
+    stepped_model = make_stepped_model(source, log, _prepare_spec)
+    model = stepped_model.model
+    servos = _with_file_delays(source, servos_of(stepped_model, log))
     if not servos:
         return None
     trials = trials_of(log, servos)
@@ -39,19 +39,21 @@ def recording_of(source: Source, log: Log) -> Recording | None:
     noise = np.maximum(encoder_noise(trials), declared)
     step = float(model.opt.timestep)
     hand = _hand(model, servos)
-    way = _outward(model, hand)
-    return Recording(model, made.pose, servos, trials, pieces, noise, hand, way, step)
+    outward = _outward(model, hand)
+    return Recording(model, stepped_model.pose, servos, trials, pieces, noise, hand, outward, step)
 
 
-def _late_by_file(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:
-    """With the delays of the file's actuators, which are simulated as those that are fitted."""
+def _with_file_delays(source: Source, servos: tuple[Servo, ...]) -> tuple[Servo, ...]:
+    """Put the delays of the file's actuators into the laws, which are simulated as those that are
+    fitted.
+    """
     delay = {
         source.model.actuator(k).name: float(z) for k, z in enumerate(source.model.actuator_delay)
     }
     return tuple(replace(s, law=s.law._replace(delay=delay.get(s.driver, 0.0))) for s in servos)
 
 
-def _prepared(spec: mujoco.MjSpec) -> None:
+def _prepare_spec(spec: mujoco.MjSpec) -> None:
     """Fine steps without contact; what only looks goes, gravity's compensation can be changed."""
     without_shapes(spec)
     option = spec.option
@@ -79,10 +81,10 @@ def _outward(model: mujoco.MjModel, hand: int) -> np.ndarray:
     each other.
     """
     joint = int(model.body_jntadr[hand])
-    way = model.body_ipos[hand] - model.jnt_pos[joint]
-    if np.linalg.norm(way) < CLOSED_LOOP.near:
-        way = model.jnt_axis[joint]
-    return way / np.linalg.norm(way)
+    direction = model.body_ipos[hand] - model.jnt_pos[joint]
+    if np.linalg.norm(direction) < CLOSED_LOOP.near:
+        direction = model.jnt_axis[joint]
+    return direction / np.linalg.norm(direction)
 
 
 def _chain(model: mujoco.MjModel, body: int) -> list[int]:

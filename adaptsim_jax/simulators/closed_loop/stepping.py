@@ -14,28 +14,31 @@ import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.imposed import JointProblem, Lanes
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, stacked
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, stack_laws
 
 SOFT_RATE, SOFT_IMPEDANCE = 2.0 / (0.95 * 0.02), 0.9  # of MuJoCo's dry friction, as it stands
 
 
 def overdamped(kp: Any, damping: Any, inertia: Any) -> Any:
     """0 of a lightly damped loop, 1 of one that is damped far beyond critically."""
-    own, critical = damping**4, (4.0 * kp * inertia) ** 2  # the ratio's squares, above and below
-    return own / (own + critical + 1e-300)
+    damping_power, critical = (
+        damping**4,
+        (4.0 * kp * inertia) ** 2,
+    )  # the ratio's squares, above and below
+    return damping_power / (damping_power + critical + 1e-300)
 
 
-def half_a_step(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+def half_step_damping(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
     """Damping, N m s/rad, by which a step that takes the position error at its beginning is right
     to second order where damping rules: half of what kp gains in a step.
 
-    Where inertia rules the target has to come half a step later instead (`later`).
+    Where inertia rules the target has to come half a step later instead (`target_delay`).
     """
     return 0.5 * step * kp * overdamped(kp, damping, inertia)
 
 
-def later(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
-    """By how much a target is to be late, s, so that a step is right to second order."""
+def target_delay(kp: Any, damping: Any, inertia: Any, step: float) -> Any:
+    """Return by how much a target is to be late, s, so that a step is right to second order."""
     return 0.5 * step * (1.0 - overdamped(kp, damping, inertia))
 
 
@@ -57,24 +60,36 @@ def _angles(law: ServoLaw, lane: Lanes, fixed, step, history: int, by_speed: boo
     range, rest of its spring.
     """
     passive, ease, low, high, rest = fixed
-    late = law.delay + later(law.kp, law.damping, jnp.mean(lane.tables[:, 0]) + law.rotor, step)
-    target = targets_of(late, lane.area, history, step)
+    delay = law.delay + target_delay(
+        law.kp, law.damping, jnp.mean(lane.tables[:, 0]) + law.rotor, step
+    )
+    target = targets_of(delay, lane.area, history, step)
     law = ServoLaw(*(z[:, None] for z in law))
     outer = jnp.minimum(passive, law.damping)
     inner = law.damping - outer
-    cut, free = law.inside * inner, outer + (1.0 - law.inside) * inner
-    arrived = jnp.where(law.lag > 1e-6, 1.0 - jnp.exp(-step / jnp.maximum(law.lag, 1e-6)), 1.0)
+    limited_damping, free_damping = law.inside * inner, outer + (1.0 - law.inside) * inner
+    filter_share = jnp.where(law.lag > 1e-6, 1.0 - jnp.exp(-step / jnp.maximum(law.lag, 1e-6)), 1.0)
     softness = SOFT_IMPEDANCE / (1.0 - SOFT_IMPEDANCE) / ease
 
-    def one(carry, now):
+    def step_once(carry, now):
         q, v, u = carry
-        wanted, table = now
-        own, coupling, gravity, turned, more, more_c, more_g, more_t, imposed = table[:, None]
-        u = u + arrived * (wanted - u)
+        target, table = now
+        (
+            own_inertia,
+            coupling,
+            gravity,
+            turned_gravity,
+            load_inertia,
+            more_c,
+            more_g,
+            more_t,
+            imposed,
+        ) = table[:, None]
+        u = u + filter_share * (target - u)
         x = q - imposed - law.zero
         cos, sin = (jnp.ones_like(x), jnp.zeros_like(x)) if slides else (jnp.cos(x), jnp.sin(x))
-        weight = gravity * cos + turned * sin
-        inertia = own + law.rotor + law.payload * more
+        weight = gravity * cos + turned_gravity * sin
+        inertia = own_inertia + law.rotor + law.payload * load_inertia
         load = (
             coupling
             + law.payload * (more_c + more_g * cos + more_t * sin)
@@ -82,34 +97,44 @@ def _angles(law: ServoLaw, lane: Lanes, fixed, step, history: int, by_speed: boo
         )
         load = load + law.spring * (q - law.zero - rest)
         if by_speed:
-            asked, stiff = inner * (u + law.offset), 0.0
+            servo_force, step_damping = inner * (u + law.offset), 0.0
         else:
-            asked = law.kp * (u + law.offset - q)
-            stiff = half_a_step(law.kp, law.damping, inertia, step)
+            servo_force = law.kp * (u + law.offset - q)
+            step_damping = half_step_damping(law.kp, law.damping, inertia, step)
 
-        def moved(rub):
+        def speed_after(rub):
             """Speed after the step under dry friction."""
             push = rub - load
-            v1 = (inertia * v + step * (asked + push)) / (inertia + step * (cut + free + stiff))
-            force = asked - (cut + stiff) * v1
+            v1 = (inertia * v + step * (servo_force + push)) / (
+                inertia + step * (limited_damping + free_damping + step_damping)
+            )
+            force = servo_force - (limited_damping + step_damping) * v1
             v2 = (inertia * v + step * (jnp.clip(force, -law.limit, law.limit) + push)) / (
-                inertia + step * free
+                inertia + step * free_damping
             )
             return jnp.where(jnp.abs(force) <= law.limit, v1, v2)
 
-        without = moved(0.0)
-        hold = -without * (inertia + step * (cut + free + stiff)) / step
-        servo = jnp.clip(asked - cut * v, -law.limit, law.limit)
-        pushed = (servo - free * v - load) / inertia
-        soft = -softness * (SOFT_RATE * v + pushed) / (1.0 + softness / inertia)
-        v = moved(jnp.clip(jnp.where(law.sharp > 0.0, hold, soft), -law.rub, law.rub))
+        frictionless_speed = speed_after(0.0)
+        holding_friction = (
+            -frictionless_speed
+            * (inertia + step * (limited_damping + free_damping + step_damping))
+            / step
+        )
+        servo = jnp.clip(servo_force - limited_damping * v, -law.limit, law.limit)
+        acceleration = (servo - free_damping * v - load) / inertia
+        creeping_friction = -softness * (SOFT_RATE * v + acceleration) / (1.0 + softness / inertia)
+        v = speed_after(
+            jnp.clip(
+                jnp.where(law.sharp > 0.0, holding_friction, creeping_friction), -law.rub, law.rub
+            )
+        )
         free_q = q + step * v
         q = jnp.clip(free_q, low, high)
         return (q, jnp.where(q == free_q, v, 0.0), u), q
 
     ones = jnp.ones_like(law.kp)
     begin = ones * lane.begin[0][None], ones * lane.begin[1][None], target[0]
-    _, path = jax.lax.scan(one, begin, (target, lane.tables))
+    _, path = jax.lax.scan(step_once, begin, (target, lane.tables))
     path = jnp.transpose(jnp.concatenate([begin[0][None], path]), (1, 2, 0))  # [B, P, S + 1]
     row = jnp.broadcast_to(lane.row[None], (len(path), *lane.row.shape))
     before, after = (jnp.take_along_axis(path, row + k, 2) for k in (0, 1))
@@ -122,8 +147,8 @@ def errors(problem: JointProblem, laws: list[ServoLaw]) -> np.ndarray:
     history = round(CLOSED_LOOP.history / problem.step)
     with jax.enable_x64(True):
         for k in range(0, len(laws), size):
-            some = laws[k : k + size]
-            padded = stacked([*some, *[some[-1]] * (size - len(some))])
+            batch = laws[k : k + size]
+            padded = stack_laws([*batch, *[batch[-1]] * (size - len(batch))])
             angles = _angles(
                 ServoLaw(*(jnp.asarray(z) for z in padded)),
                 lane,
@@ -133,10 +158,10 @@ def errors(problem: JointProblem, laws: list[ServoLaw]) -> np.ndarray:
                 servo.follows_speed,
                 servo.slides,
             )
-            parts.append(np.asarray(angles)[: len(some)])
-    off = np.concatenate(parts) - np.asarray(lane.measured)
-    off = np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3)
-    return off * np.asarray(lane.counted)
+            parts.append(np.asarray(angles)[: len(batch)])
+    error = np.concatenate(parts) - np.asarray(lane.measured)
+    error = np.where(np.isfinite(error), np.clip(error, -1e3, 1e3), 1e3)
+    return error * np.asarray(lane.counted)
 
 
 def squared(error: np.ndarray) -> np.ndarray:

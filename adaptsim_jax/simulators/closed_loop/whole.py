@@ -15,12 +15,12 @@ from mujoco import rollout
 from scipy import signal
 
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
-from adaptsim_jax.simulators.closed_loop.law import ServoLaw, with_model
-from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, smoothed
+from adaptsim_jax.simulators.closed_loop.law import ServoLaw, put_law
+from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, smooth
 from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
 
 LANES = 16  # machines that are simulated at once: their paths are held in memory
-RAN_AWAY = 10.0  # rad (m): an error that counts as no larger
+MAX_ERROR = 10.0  # rad (m): an error that counts as no larger
 
 
 def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel:
@@ -32,80 +32,85 @@ def machine_of(recording: Recording, laws: Sequence[ServoLaw]) -> mujoco.MjModel
     else:
         model = copy.copy(recording.model)
     for servo, law in zip(recording.servos, laws, strict=True):
-        with_model(servo, model, law)
+        put_law(servo, model, law)
     if laws[0].lift != recording.servos[0].law.lift:
         model.body_gravcomp[1:] = laws[0].lift
     return model
 
 
-def arrived_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) -> np.ndarray:
+def filtered_targets(recording: Recording, trial: int, laws: Sequence[ServoLaw]) -> np.ndarray:
     """Targets [S, n] in rad, as means over the steps, late, filtered and shifted."""
     t, dt = recording.trials[trial], recording.whole_step
     steps = max(1, int(np.ceil(t.time[-1] / dt - 1e-9)))
     edges = np.append(t.time, t.time[-1] + 10.0)
     out = np.zeros((steps, len(laws)))
     for j, law in enumerate(laws):
-        held = t.target[:, j]
-        whole = np.append(0.0, np.cumsum(np.diff(edges) * held))
+        target = t.target[:, j]
+        area_at_edges = np.append(0.0, np.cumsum(np.diff(edges) * target))
         at = dt * np.arange(steps + 1) - law.delay - law.shift
-        area = np.where(at < 0.0, at * held[0], np.interp(at, edges, whole))
+        area = np.where(at < 0.0, at * target[0], np.interp(at, edges, area_at_edges))
         mean = np.diff(area) / dt
         if law.lag > 1e-6:
-            mean = _filtered(mean, 1.0 - np.exp(-dt / law.lag))
+            mean = _filter(mean, 1.0 - np.exp(-dt / law.lag))
         out[:, j] = mean + law.offset - law.zero
     return out
 
 
-def _filtered(u: np.ndarray, share: float) -> np.ndarray:
+def _filter(u: np.ndarray, share: float) -> np.ndarray:
     out, _ = signal.lfilter([share], [1.0, share - 1.0], u, zi=[(1.0 - share) * u[0]])
     return out
 
 
-def simulated(
+def simulate(
     recording: Recording, machines: Sequence[Sequence[ServoLaw]]
 ) -> list[list[TrialMotion]]:
     """Motion of each trial, by machine: angles and speeds [T, n] at its rows; NaN from where a
     simulation blew up. Accelerations are those of the speeds.
     """
-    fine, coarse = stepped(recording, machines), stepped(recording.restepped(2.0), machines)
+    fine, coarse = (
+        simulate_once(recording, machines),
+        simulate_once(recording.restepped(2.0), machines),
+    )
     return [
-        [_extrapolated(one, other) for one, other in zip(*both, strict=True)]
+        [_extrapolate(one, other) for one, other in zip(*both, strict=True)]
         for both in zip(fine, coarse, strict=True)
     ]
 
 
-def _extrapolated(fine: TrialMotion, coarse: TrialMotion) -> TrialMotion:
-    """To a step of 0; as `fine` where the coarse motion blew up."""
-    more = (np.nan_to_num(f - c) for f, c in ((fine.q, coarse.q), (fine.v, coarse.v)))
-    dq, dv = more
+def _extrapolate(fine: TrialMotion, coarse: TrialMotion) -> TrialMotion:
+    """Extrapolate motion to a step of 0; `fine` where the coarse motion blew up."""
+    changes = (np.nan_to_num(f - c) for f, c in ((fine.q, coarse.q), (fine.v, coarse.v)))
+    dq, dv = changes
     return TrialMotion(fine.q + dq, fine.v + dv, fine.a)
 
 
-def stepped(
+def simulate_once(
     recording: Recording, machines: Sequence[Sequence[ServoLaw]]
 ) -> list[list[TrialMotion]]:
-    """The same in steps of the recording's model alone."""
+    """Simulate in steps of the recording's model alone."""
     out: list[list[TrialMotion]] = []
     for first in range(0, len(machines), LANES):
-        some = machines[first : first + LANES]
-        models = [machine_of(recording, laws) for laws in some]
-        trials = [_of_trial(recording, k, models, some) for k in range(len(recording.trials))]
-        out += [[trial[b] for trial in trials] for b in range(len(some))]
+        batch = machines[first : first + LANES]
+        models = [machine_of(recording, laws) for laws in batch]
+        trials = [
+            _simulate_trial(recording, k, models, batch) for k in range(len(recording.trials))
+        ]
+        out += [[trial[b] for trial in trials] for b in range(len(batch))]
     return out
 
 
-def _of_trial(recording, k: int, models, machines) -> list[TrialMotion]:
+def _simulate_trial(recording, k: int, models, machines) -> list[TrialMotion]:
     trial, dt, servos = recording.trials[k], recording.whole_step, recording.servos
     qpos, dof = np.array([s.qpos for s in servos]), np.array([s.dof for s in servos])
-    moving = smoothed(trial.time, trial.q)
+    motion = smooth(trial.time, trial.q)
     data = mujoco.MjData(models[0])
     data.qpos[:] = recording.pose
     for name, angle in trial.begins.items():
         data.qpos[models[0].joint(name).qposadr[0]] = angle
-    data.qvel[dof] = 0.0 if begins_at_rest(trial.q) else moving.v[0]
+    data.qvel[dof] = 0.0 if begins_at_rest(trial.q) else motion.v[0]
     states, controls = [], []
     for model, laws in zip(models, machines, strict=True):
-        u = arrived_targets(recording, k, laws)
+        u = filtered_targets(recording, k, laws)
         control = np.zeros((len(u), model.nu))
         control[:, [s.actuator for s in servos]] = u
         _put_others(model, trial, dt, control)
@@ -146,9 +151,9 @@ def _put_others(model: mujoco.MjModel, trial: Trial, step: float, control: np.nd
 
 
 def trial_errors(recording: Recording, motions: Sequence[TrialMotion]) -> np.ndarray:
-    """Simulated less measured angles [rows of all trials, n], each within `RAN_AWAY`."""
+    """Simulated less measured angles [rows of all trials, n], each within `MAX_ERROR`."""
     off = [m.q - t.q for m, t in zip(motions, recording.trials, strict=True)]
-    return np.clip(np.nan_to_num(np.concatenate(off), nan=RAN_AWAY), -RAN_AWAY, RAN_AWAY)
+    return np.clip(np.nan_to_num(np.concatenate(off), nan=MAX_ERROR), -MAX_ERROR, MAX_ERROR)
 
 
 def blocks_of(recording: Recording) -> np.ndarray:

@@ -8,36 +8,38 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.fields import DELAY, Field
-from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, late
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
+from adaptsim_jax.simulators.mujoco.fields import DELAY, ModelNumber
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, delay_commands
 
 SHIFT, WIND = "command.offset", "wind"
-READ, BIAS, TURN, LATE = "reading.offset", "imu.bias", "imu.turn", "imu.late"
-OUTSIDE = (DELAY, SHIFT, WIND, READ, BIAS, TURN, LATE)
+READING_OFFSET, IMU_BIAS, IMU_TURN, IMU_DELAY = "reading.offset", "imu.bias", "imu.turn", "imu.late"
+OUTSIDE = (DELAY, SHIFT, WIND, READING_OFFSET, IMU_BIAS, IMU_TURN, IMU_DELAY)
 """Kinds of fields that are no number of the model."""
 
 
 @dataclass(frozen=True)
 class Acting:
-    """Of B simulations: late [B] s of all commands; shift [B, nu] of each; force [B, nv] that acts
-    all the time, None: none.
+    """What acts on B simulations: `delay [B]` s of all commands; `shift [B, nu]` of each; `force
+    [B, nv]` that acts all the time, None: none.
     """
 
-    late: np.ndarray
+    delay: np.ndarray
     shift: np.ndarray
     force: np.ndarray | None
 
     def of(self, some: slice) -> "Acting":
-        """Those alone."""
+        """Return the simulations `some` alone."""
         return Acting(
-            self.late[some], self.shift[some], None if self.force is None else self.force[some]
+            self.delay[some], self.shift[some], None if self.force is None else self.force[some]
         )
 
 
-def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting:
-    """By values [B, P] of the fields."""
-    model, count = made.model, len(values)
+def acting(
+    stepped_model: SteppedModel, fields: Sequence[ModelNumber], values: np.ndarray
+) -> Acting:
+    """Return what acts on simulations by values [B, P] of the fields."""
+    model, count = stepped_model.model, len(values)
     delay, shift, force = np.zeros(count), np.zeros((count, model.nu)), None
     for f, value in zip(fields, values.T, strict=True):
         if f.field == DELAY:
@@ -51,15 +53,17 @@ def acting(made: Stepped, fields: Sequence[Field], values: np.ndarray) -> Acting
 
 
 def control_of(
-    made: Stepped, stretches: MujocoStretches, lanes: np.ndarray, by: Acting | None
+    stepped_model: SteppedModel, stretches: MujocoStretches, lanes: np.ndarray, by: Acting | None
 ) -> tuple[np.ndarray, int]:
-    """(controls [B, S, ...], what of MuJoCo's state they are). Commands between steps are a mix of
-    both.
+    """Return controls [B, S, ...], and what of MuJoCo's state they are. Commands between steps are
+    a mix of both.
     """
-    model, control = made.model, stretches.control[lanes]
+    model, control = stepped_model.model, stretches.control[lanes]
     command = control.shape[2] == model.nu and model.nu > 0
-    if by is not None and np.any(by.late):
-        control = late(stretches.past[lanes], control, by.late / float(model.opt.timestep))
+    if by is not None and np.any(by.delay):
+        control = delay_commands(
+            stretches.past[lanes], control, by.delay / float(model.opt.timestep)
+        )
     if by is not None and command and np.any(by.shift):
         control = control + by.shift[:, None]
     spec = int(mujoco.mjtState.mjSTATE_CTRL if command else mujoco.mjtState.mjSTATE_QFRC_APPLIED)
@@ -75,17 +79,19 @@ def control_of(
 
 
 def as_read(
-    fields: Sequence[Field], values: np.ndarray, read: np.ndarray, time: np.ndarray
+    fields: Sequence[ModelNumber], values: np.ndarray, read: np.ndarray, time: np.ndarray
 ) -> np.ndarray:
-    """Channels [B, L, C] as a sensor that is off reads them, by values [B, P]; time [B, L] s."""
+    """Return channels [B, L, C] as a sensor with errors reads them, by values [B, P]; time [B, L]
+    s.
+    """
     out = read
     for f, value in zip(fields, values.T, strict=True):
-        if f.field not in (READ, BIAS, TURN, LATE) or not np.any(value):
+        if f.field not in (READING_OFFSET, IMU_BIAS, IMU_TURN, IMU_DELAY) or not np.any(value):
             continue
         out = out.copy() if out is read else out
-        if f.field in (READ, BIAS):
+        if f.field in (READING_OFFSET, IMU_BIAS):
             out[..., f.elements[f.index]] += value[:, None]
-        elif f.field == TURN:  # each triple of axes by a small angle about one of them
+        elif f.field == IMU_TURN:  # each triple of axes by a small angle about one of them
             for first in f.elements:
                 one, two = first + (f.index + 1) % 3, first + (f.index + 2) % 3
                 c, s = np.cos(value)[:, None], np.sin(value)[:, None]

@@ -12,10 +12,22 @@ from adaptsim_jax.effects.base import Effect, of_the_engine
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.effects.joints.friction import VISCOUS
 from adaptsim_jax.logs.noise import sensor_noise
-from adaptsim_jax.simulators.mujoco.acting import BIAS, LATE, READ, SHIFT, TURN
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.acting import (
+    IMU_BIAS,
+    IMU_DELAY,
+    IMU_TURN,
+    READING_OFFSET,
+    SHIFT,
+)
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
-from adaptsim_jax.simulators.mujoco.fields import DELAY, STRENGTH, Field, field, number
+from adaptsim_jax.simulators.mujoco.fields import (
+    DELAY,
+    STRENGTH,
+    ModelNumber,
+    make_number,
+    model_number,
+)
 from adaptsim_jax.simulators.mujoco.sensed import triple
 
 DECLARED = VISCOUS.name
@@ -29,55 +41,62 @@ SENSED = {
 def row(
     effect: str,
     where: str,
-    fields: Field | Iterable[Field],
+    fields: ModelNumber | Iterable[ModelNumber],
     texts: tuple[str, str],
     same: tuple[str, ...] = (),
 ) -> Effect:
-    """An effect at a place; told: its physics and what shows it; same: effects that no such
-    recording tells apart from it.
+    """Make an effect at a place. texts: its physics, and what shows it; same: effects that no such
+    recording distinguishes from it.
     """
-    fields = (fields,) if isinstance(fields, Field) else tuple(fields)
+    fields = (fields,) if isinstance(fields, ModelNumber) else tuple(fields)
     name = f"{effect} at {where}" if where else effect
     separated_by = "a look at the machine" if same else ""
     return Effect(name, where, fields, of_the_engine, *texts, same=same, separated_by=separated_by)
 
 
-def rows(made: Stepped, joints: Sequence[str]) -> list[Effect]:
+def rows(stepped_model: SteppedModel, joints: Sequence[str]) -> list[Effect]:
     """All that joints, drives and bodies may lack. joints: those that were logged."""
-    model = made.model
+    model = stepped_model.model
     return [
-        *_of_joints(made, joints),
+        *_of_joints(stepped_model, joints),
         *_of_drives(model),
         *_of_bodies(
-            model, CANDIDATE.payload_share if made.free < 0 else CANDIDATE.payload_share_moving
+            model,
+            CANDIDATE.payload_share if stepped_model.free < 0 else CANDIDATE.payload_share_moving,
         ),
     ]
 
 
-def _of_joints(made: Stepped, joints: Sequence[str]) -> Iterable[Effect]:
-    model, weight = made.model, _scales(made.model, joints)
+def _of_joints(stepped_model: SteppedModel, joints: Sequence[str]) -> Iterable[Effect]:
+    model, force_scale = stepped_model.model, _scales(stepped_model.model, joints)
 
     for k, name in enumerate(joints):
         inertia = 1.0 / max(
             float(model.dof_invweight0[model.jnt_dofadr[model.joint(name).id]]), 1e-9
         )
 
-        sizes = {"frictionloss": weight[name], "damping": weight[name], "armature": inertia}
+        sizes = {
+            "frictionloss": force_scale[name],
+            "damping": force_scale[name],
+            "armature": inertia,
+        }
         for what, size in sizes.items():
-            f = field(model, f"joint:{name}.{what}")
-            wide = f.by(max(f.step, 0.01 * size))
-            for effect in (e for e in MACHINE if _edits(e, what)):
-                yield row(effect.name, name, wide, (effect.physics, effect.excitation))
-        off = number(f"reading:{name}.offset", READ, (k,), 0, 0.0, (-1.0, 1.0), CANDIDATE.turn)
+            model_value = model_number(model, f"joint:{name}.{what}")
+            number = model_value.by(max(model_value.step, 0.01 * size))
+            for effect in (e for e in MACHINE if _is_joint_number(e, what)):
+                yield row(effect.name, name, number, (effect.physics, effect.excitation))
+        offset = make_number(
+            f"reading:{name}.offset", READING_OFFSET, (k,), 0, 0.0, (-1.0, 1.0), CANDIDATE.turn
+        )
         yield row(
             "angle offset",
             name,
-            off,
+            offset,
             ("the angle is read from another zero", "gravity, stops, and where it is driven to"),
         )
 
 
-def _edits(effect: Effect, what: str) -> bool:
+def _is_joint_number(effect: Effect, what: str) -> bool:
     """Whether an effect is that number of a joint, and nothing else."""
     return [p.mjcf for p in effect.parameters] == [what] and not effect.on_actuator
 
@@ -87,12 +106,14 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Effect]:
         name = model.actuator(k).name or f"actuator{k}"
         if not np.any(model.actuator_gainprm[k, :3]):
             continue
-        weak = (field(model, f"actuator:{name}.{STRENGTH}"),)
+        strength = (model_number(model, f"actuator:{name}.{STRENGTH}"),)
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_biasprm[k, 2] < 0:
-            weak += (field(model, f"actuator:{name}.kv"),)
-        yield row("gain", name, weak, ("the drive gives more or less than told", "large commands"))
+            strength += (model_number(model, f"actuator:{name}.kv"),)
+        yield row(
+            "gain", name, strength, ("the drive gives more or less than told", "large commands")
+        )
         if model.actuator_biasprm[k, 1] < 0 and model.actuator_trntype[k] == 0:
-            shift = number(
+            shift = make_number(
                 f"command:{name}.offset", SHIFT, (k,), 0, 0.0, (-1.0, 1.0), CANDIDATE.turn
             )
             yield row(
@@ -103,17 +124,22 @@ def _of_drives(model: mujoco.MjModel) -> Iterable[Effect]:
             )
     if model.nu:
         yield row(
-            "delay", "all joints", field(model, DELAY), ("commands act late", "fast commands")
+            "delay",
+            "all joints",
+            model_number(model, DELAY),
+            ("commands act late", "fast commands"),
         )
 
 
 def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Effect]:
     total = float(model.body_mass.sum())
     for b in range(1, model.nbody):
-        if model.body_mass[b] > share * total and _moves(model, b):
+        if model.body_mass[b] > share * total and _is_moving(model, b):
             name = model.body(b).name or f"body{b}"
-            place = [field(model, f"body:{name}.ipos[{i}]").by(CANDIDATE.shift) for i in range(3)]
-            mass = field(model, f"body:{name}.mass")
+            place = [
+                model_number(model, f"body:{name}.ipos[{i}]").by(CANDIDATE.shift) for i in range(3)
+            ]
+            mass = model_number(model, f"body:{name}.mass")
             yield row(
                 "payload",
                 name,
@@ -122,44 +148,48 @@ def _of_bodies(model: mujoco.MjModel, share: float) -> Iterable[Effect]:
             )
 
 
-def sensor_rows(made: Stepped, first: int) -> Iterable[Effect]:
-    """What sensors may read wrong. first: place of theirs among the channels."""
-    found = [
+def sensor_rows(stepped_model: SteppedModel, first: int) -> Iterable[Effect]:
+    """Make the effects of sensor errors. first: place of the sensors among the channels."""
+    sensors_found = [
         (kind, axes)
         for kind in ("gyro", "accelerometer")
-        if (axes := triple(made.read, kind)) is not None
+        if (axes := triple(stepped_model.sensors, kind)) is not None
     ]
-    for kind, axes in found:
-        step, most = SENSED[kind]
+    for kind, axes in sensors_found:
+        step, max_bias = SENSED[kind]
         places = tuple(first + k for k in axes)
-        off = [
-            number(f"imu.{kind}_bias[{i}]", BIAS, places, i, 0.0, (-most, most), step)
+        biases = [
+            make_number(
+                f"imu.{kind}_bias[{i}]", IMU_BIAS, places, i, 0.0, (-max_bias, max_bias), step
+            )
             for i in range(3)
         ]
-        yield row(f"{kind} bias", "imu", off, ("it reads more or less than there is", "any motion"))
-    if found:
-        starts = tuple(first + axes[0] for _, axes in found)
-        turned = [
-            number(f"imu.turn[{i}]", TURN, starts, i, 0.0, (-0.5, 0.5), CANDIDATE.turn)
+        yield row(
+            f"{kind} bias", "imu", biases, ("it reads more or less than there is", "any motion")
+        )
+    if sensors_found:
+        starts = tuple(first + axes[0] for _, axes in sensors_found)
+        turns = [
+            make_number(f"imu.turn[{i}]", IMU_TURN, starts, i, 0.0, (-0.5, 0.5), CANDIDATE.turn)
             for i in range(3)
         ]
-        yield row("turned", "imu", turned, ("it is mounted at another angle", "turns, gravity"))
-        every = tuple(first + k for _, axes in found for k in axes)
+        yield row("turned", "imu", turns, ("it is mounted at another angle", "turns, gravity"))
+        all_channels = tuple(first + k for _, axes in sensors_found for k in axes)
         yield row(
             "late",
             "imu",
-            number("imu.late", LATE, every, 0, 0.0, (-0.05, 0.05), 1e-3),
+            make_number("imu.late", IMU_DELAY, all_channels, 0, 0.0, (-0.05, 0.05), 1e-3),
             ("it is read late", "fast motion"),
         )
 
 
-def _moves(model: mujoco.MjModel, body: int) -> bool:
+def _is_moving(model: mujoco.MjModel, body: int) -> bool:
     return model.body_dofnum[body] > 0 or model.body_weldid[body] != 0
 
 
 def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
-    """N m, N: of gravity at a joint, at least of its own inertia at an acceleration of 10 rad/s^2
-    (m/s^2).
+    """Estimate a size of force, N m or N, by joint: gravity's, at least that of its own inertia at
+    10 rad/s^2 (m/s^2).
     """
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -175,5 +205,5 @@ def _scales(model: mujoco.MjModel, joints: Sequence[str]) -> dict[str, float]:
 
 
 def noise_of(measured: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Noise [C] of channels [W, L, C], where they were `seen`."""
+    """Estimate the noise [C] of channels [W, L, C], where they were measured (`mask`)."""
     return sensor_noise(list(np.where(mask, measured, np.nan)))

@@ -23,19 +23,19 @@ from adaptsim_jax.logs.quality.audit import audit
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco import rollouts
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE, acting, as_read
-from adaptsim_jax.simulators.mujoco.build import Stepped, stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel, make_stepped_model
 from adaptsim_jax.simulators.mujoco.catalogue import DECLARED, noise_of, rows, sensor_rows
 from adaptsim_jax.simulators.mujoco.contact import contact_rows
 from adaptsim_jax.simulators.mujoco.criteria import REMARK, SIMULATION
-from adaptsim_jax.simulators.mujoco.fields import Field, with_values
+from adaptsim_jax.simulators.mujoco.fields import ModelNumber, with_values
 from adaptsim_jax.simulators.mujoco.mended import mended_mjcf
 from adaptsim_jax.simulators.mujoco.sensed import prior_of
-from adaptsim_jax.simulators.mujoco.starts import fitted
-from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut
+from adaptsim_jax.simulators.mujoco.starts import fit_stretch_starts
+from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, cut_stretches
 
 LINEARISATION_STEPS = 5e5  # steps of one linearisation: bounds its time and memory
 STRETCHES = (24, 100)  # at least, at most
-OPENING = (
+FIRST_ROUNDS = (
     1,
     4,
 )  # rounds of starts before all channels count as they should; where a base is only felt
@@ -56,9 +56,9 @@ class MujocoSimulator:
     angles from the measured ones.
     """
 
-    made: Stepped
-    own: MujocoStretches
-    quantities: tuple[Field, ...]
+    stepped_model: SteppedModel
+    mujoco_stretches: MujocoStretches
+    quantities: tuple[ModelNumber, ...]
     declared: tuple[str, ...]
     channels: tuple[Channel, ...]
     stretches: Compared
@@ -69,17 +69,25 @@ class MujocoSimulator:
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
         values = np.clip(values, *np.array([(f.low, f.high) for f in self.quantities]).T)
-        own = [i for i, f in enumerate(self.quantities) if f.field not in OUTSIDE]
-        rows, kind = np.unique(values[:, own], axis=0, return_inverse=True)
+        inside = [i for i, f in enumerate(self.quantities) if f.field not in OUTSIDE]
+        rows, kind = np.unique(values[:, inside], axis=0, return_inverse=True)
         models = [
-            with_values(self.made.model, [self.quantities[i] for i in own], row) for row in rows
+            with_values(self.stepped_model.model, [self.quantities[i] for i in inside], row)
+            for row in rows
         ]
-        by = acting(self.made, self.quantities, values)
+        by = acting(self.stepped_model, self.quantities, values)
         with ONE_AT_A_TIME:
             path = rollouts.predict(
-                self.made, self.own, starts, which, [models[k] for k in kind.reshape(-1)], by
+                self.stepped_model,
+                self.mujoco_stretches,
+                starts,
+                which,
+                [models[k] for k in kind.reshape(-1)],
+                by,
             )
-        read = self.stretches.measured[which] - rollouts.residual(self.made, self.own, path, which)
+        read = self.stretches.measured[which] - rollouts.residual(
+            self.stepped_model, self.mujoco_stretches, path, which
+        )
         return as_read(self.quantities, values, read, self.stretches.time[which])
 
     def notes(self, values: Mapping[str, float]) -> list[str]:
@@ -90,7 +98,7 @@ class MujocoSimulator:
     @property
     def mended(self) -> dict[str, Callable[[Mapping[str, float]], str]]:
         """The file with what was found in it. See `diagnosis.simulator.Simulator`."""
-        return {MENDED: lambda values: mended_mjcf(self.made, self.quantities, values)}
+        return {MENDED: lambda values: mended_mjcf(self.stepped_model, self.quantities, values)}
 
     def linearise(
         self,
@@ -126,98 +134,133 @@ class MujocoSimulator:
 
 
 def simulator(source: Source, log: Log, horizon: float | None = None) -> MujocoSimulator:
-    """Of a model file over a recording. Raises BadInput as reading and cutting do."""
-    made = stepped(source, log)
+    """Make the simulator of a model file over a recording. Raises BadInput as reading and cutting
+    do.
+    """
+    stepped_model = make_stepped_model(source, log)
     first = len(log.joint_names) * (1 if log.trials[0].v is None else 2)
-    found = [*rows(made, log.joint_names), *contact_rows(made), *sensor_rows(made, first)]
+    effects = [
+        *rows(stepped_model, log.joint_names),
+        *contact_rows(stepped_model),
+        *sensor_rows(stepped_model, first),
+    ]
     declared = tuple(
-        name for e in found if e.name.startswith(f"{DECLARED} at ") for name in e.names
+        name for e in effects if e.name.startswith(f"{DECLARED} at ") for name in e.names
     )
-    wanted = tuple(e for e in found if e.names[0] not in declared)
-    checked = audit(log, _slides(made.model, log), {} if log.input_kind == "command" else None)
+    candidates = tuple(e for e in effects if e.names[0] not in declared)
+    checked = audit(
+        log, _slides(stepped_model.model, log), {} if log.input_kind == "command" else None
+    )
     remarks = (
         "simulated by MuJoCo at the file's own step",
         *checked.warnings,
         *log.notes,
         *checked.limits,
         *source.notes,
-        *made.notes,
+        *stepped_model.notes,
     )
-    fields: Any = tuple({f.name: f for e in found for f in e.parameters}.values())
-    plain = simulated(made, log, fields, declared, horizon)
-    return replace(plain, candidates=wanted, remarks=remarks)
+    fields: Any = tuple({f.name: f for e in effects for f in e.parameters}.values())
+    without_candidates = simulated(stepped_model, log, fields, declared, horizon)
+    return replace(without_candidates, candidates=candidates, remarks=remarks)
 
 
 def simulated(
-    made: Stepped,
+    stepped_model: SteppedModel,
     log: Log,
-    fields: tuple[Field, ...],
+    fields: tuple[ModelNumber, ...],
     declared: tuple[str, ...],
     horizon: float | None = None,
 ) -> MujocoSimulator:
     """A model with these fields over a recording, without candidates."""
-    horizon = horizon or (SIMULATION.horizon if made.free < 0 else SIMULATION.horizon_moving)
-    cost = (rollouts.start_size(made) + len(fields)) * horizon / float(made.model.opt.timestep)
-    own = cut(made, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES)))
-    felt = made.free >= 0 > made.base
-    channels, measured, mask = _channels(made, own, log)
-    starts = np.zeros((own.count, rollouts.start_size(made)))
-    if made.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
-        starts, _ = fitted(made, own, _opening(channels, made), OPENING[felt])
-    nv, na = made.model.nv, made.model.na
-    scale = np.repeat([SIMULATION.start_angle, SIMULATION.start_speed], [nv, nv + na])
-    prior = prior_of(made.model, made.free) if felt else None
-    compared = Compared(
-        own.trial, own.names, own.time, measured, mask.astype(float), starts, scale, prior
+    horizon = horizon or (
+        SIMULATION.horizon if stepped_model.free < 0 else SIMULATION.horizon_moving
     )
-    return MujocoSimulator(made, own, fields, declared, channels, compared, ())
+    cost = (
+        (rollouts.start_size(stepped_model) + len(fields))
+        * horizon
+        / float(stepped_model.model.opt.timestep)
+    )
+    mujoco_stretches = cut_stretches(
+        stepped_model, log, horizon, int(np.clip(LINEARISATION_STEPS / cost, *STRETCHES))
+    )
+    is_felt = stepped_model.free >= 0 > stepped_model.base
+    channels, measured, is_measured = _channels(stepped_model, mujoco_stretches, log)
+    starts = np.zeros((mujoco_stretches.count, rollouts.start_size(stepped_model)))
+    if stepped_model.base < 0:  # a logged pose is nearer than what stiff contact lets a fit find
+        starts, _ = fit_stretch_starts(
+            stepped_model,
+            mujoco_stretches,
+            _first_weights(channels, stepped_model),
+            FIRST_ROUNDS[is_felt],
+        )
+    nv, na = stepped_model.model.nv, stepped_model.model.na
+    scale = np.repeat([SIMULATION.start_angle, SIMULATION.start_speed], [nv, nv + na])
+    prior = prior_of(stepped_model.model, stepped_model.free) if is_felt else None
+    compared = Compared(
+        mujoco_stretches.trial,
+        mujoco_stretches.names,
+        mujoco_stretches.time,
+        measured,
+        is_measured.astype(float),
+        starts,
+        scale,
+        prior,
+    )
+    return MujocoSimulator(
+        stepped_model, mujoco_stretches, fields, declared, channels, compared, ()
+    )
 
 
-def _opening(channels: Sequence[Channel], made: Stepped) -> np.ndarray:
+def _first_weights(channels: Sequence[Channel], stepped_model: SteppedModel) -> np.ndarray:
     """[C] weights of channels for first guesses of starts."""
-    rough = {r.name for r in made.read if r.kind == "accelerometer"}
+    accelerometers = {r.name for r in stepped_model.sensors if r.kind == "accelerometer"}
     return np.array(
         [
-            1.0 / (c.noise * (SIMULATION.accelerometer_noises if c.name in rough else 1.0))
+            1.0 / (c.noise * (SIMULATION.accelerometer_noises if c.name in accelerometers else 1.0))
             for c in channels
         ]
     )
 
 
 def _channels(
-    made: Stepped, own: MujocoStretches, log: Log
+    stepped_model: SteppedModel, mujoco_stretches: MujocoStretches, log: Log
 ) -> tuple[tuple[Channel, ...], np.ndarray, np.ndarray]:
     """Channels, and what was measured and seen of them; of a base three angles from the measured
     orientation.
     """
-    slides = _slides(made.model, log)
+    slides = _slides(stepped_model.model, log)
     units = {n: "m" if n in slides else "rad" for n in log.joint_names}
-    named = [(f"q_{n}", units[n]) for n in log.joint_names]
-    if rollouts.has_speeds(made, own):
-        named += [(f"v_{n}", f"{units[n]}/s") for n in log.joint_names]
-    measured, mask = own.measured, own.seen
-    named += [(r.name, r.unit) for r in made.read]
-    noise = noise_of(measured, mask)
-    if made.base >= 0:
-        named += [*((f"base_{c}", "m") for c in "xyz"), *((f"base_turn_{c}", "rad") for c in "xyz")]
+    names_and_units = [(f"q_{n}", units[n]) for n in log.joint_names]
+    if rollouts.has_speeds(stepped_model, mujoco_stretches):
+        names_and_units += [(f"v_{n}", f"{units[n]}/s") for n in log.joint_names]
+    measured, is_measured = mujoco_stretches.measured, mujoco_stretches.is_measured
+    names_and_units += [(r.name, r.unit) for r in stepped_model.sensors]
+    noise = noise_of(measured, is_measured)
+    if stepped_model.base >= 0:
+        names_and_units += [
+            *((f"base_{c}", "m") for c in "xyz"),
+            *((f"base_turn_{c}", "rad") for c in "xyz"),
+        ]
         turn = 2.0 * float(np.mean(noise[-4:]))
         noise = np.append(noise[:-4], [turn] * 3)
         measured = np.concatenate([measured[..., :-4], np.zeros((*measured.shape[:2], 3))], -1)
-        mask = np.concatenate([mask[..., :-4], mask[..., -3:]], -1)
-    if made.free >= 0:  # contact makes accelerations jump, from which no start is found
-        own_spread = np.nanstd(np.where(mask, measured, np.nan), axis=(0, 1))
-        first = len(named) - len(made.read)
-        rough = [
+        is_measured = np.concatenate([is_measured[..., :-4], is_measured[..., -3:]], -1)
+    if stepped_model.free >= 0:  # contact makes accelerations jump, from which no start is found
+        spread = np.nanstd(np.where(is_measured, measured, np.nan), axis=(0, 1))
+        first = len(names_and_units) - len(stepped_model.sensors)
+        accelerometers = [
             first + k
-            for k, r in enumerate(made.read)
-            if r.kind == "accelerometer" and made.base < 0
+            for k, r in enumerate(stepped_model.sensors)
+            if r.kind == "accelerometer" and stepped_model.base < 0
         ]
-        noise[rough] = np.maximum(noise[rough], SIMULATION.accelerometer_spread * own_spread[rough])
+        noise[accelerometers] = np.maximum(
+            noise[accelerometers], SIMULATION.accelerometer_spread * spread[accelerometers]
+        )
     noise = np.maximum(noise, SIMULATION.min_noise)
     return (
-        tuple(Channel(n, u, float(z)) for (n, u), z in zip(named, noise, strict=True)),
+        tuple(Channel(n, u, float(z)) for (n, u), z in zip(names_and_units, noise, strict=True)),
         measured,
-        mask,
+        is_measured,
     )
 
 
@@ -228,7 +271,7 @@ def _slides(model: mujoco.MjModel, log: Log) -> set[str]:
 
 
 def diagnose(
-    made: MujocoSimulator,
+    simulator: MujocoSimulator,
     *,
     out: str | Path | None = None,
     exclude: Sequence[str] = (),
@@ -240,47 +283,53 @@ def diagnose(
     simulates; the report. command: what gives the same answer, for the report.
     """
     return diagnose_simulator(
-        made,
+        simulator,
         out=out,
-        criteria=None if made.made.free < 0 else SHORT,
+        criteria=None if simulator.stepped_model.free < 0 else SHORT,
         exclude=exclude,
         progress=progress,
         page=page,
-        name=Path(made.made.path).name,
+        name=Path(simulator.stepped_model.path).name,
         command=command,
     )
 
 
-def halved(made: MujocoSimulator) -> MujocoSimulator:
-    """The same stepped twice as often; each command acts as long as before."""
-    model = made.made.model.__copy__()
+def with_half_step(simulator: MujocoSimulator) -> MujocoSimulator:
+    """Return a copy that is stepped twice as often; each command acts as long as before."""
+    model = simulator.stepped_model.model.__copy__()
     model.opt.timestep *= 0.5
-    own = made.own
-    twice = {k: np.repeat(getattr(own, k), 2, 1) for k in ("control", "past")}
+    stretches = simulator.mujoco_stretches
+    twice = {k: np.repeat(getattr(stretches, k), 2, 1) for k in ("control", "past")}
     return replace(
-        made, made=made.made.with_model(model), own=replace(own, at=2.0 * own.at, **twice)
+        simulator,
+        stepped_model=simulator.stepped_model.with_model(model),
+        mujoco_stretches=replace(stretches, row_steps=2.0 * stretches.row_steps, **twice),
     )
 
 
-def change(made: MujocoSimulator, values: np.ndarray) -> float:
+def change(simulator: MujocoSimulator, values: np.ndarray) -> float:
     """RMS change of predictions over the noise by half the step, with values [P], less what starts
     would take up. The median of a few stretches.
     """
-    s = made.stretches
+    s = simulator.stretches
     which = np.unique(np.linspace(0, s.count - 1, REMARK.step_stretches).round().astype(int))
     rows, starts = np.tile(values, (len(which), 1)), s.start[which]
-    noise = np.array([c.noise for c in made.channels])
-    off = halved(made).predict(rows, starts, which) - made.predict(rows, starts, which)
-    off = np.where(s.seen[which] > 0, np.nan_to_num(off / noise), 0.0).reshape(len(which), -1)
-    by_start = linearise(made, rows, starts, which, np.zeros((0, len(values))))[0]
-    left = without(taken_up(by_start), off[..., None])[..., 0]
+    noise = np.array([c.noise for c in simulator.channels])
+    difference = with_half_step(simulator).predict(rows, starts, which) - simulator.predict(
+        rows, starts, which
+    )
+    difference = np.where(s.seen[which] > 0, np.nan_to_num(difference / noise), 0.0).reshape(
+        len(which), -1
+    )
+    by_start = linearise(simulator, rows, starts, which, np.zeros((0, len(values))))[0]
+    residual = without(taken_up(by_start), difference[..., None])[..., 0]
     counts = (s.seen[which] > 0).reshape(len(which), -1).sum(1)
-    return float(np.median(np.sqrt(np.square(left).sum(1) / np.maximum(counts, 1))))
+    return float(np.median(np.sqrt(np.square(residual).sum(1) / np.maximum(counts, 1))))
 
 
-def step_notes(made: MujocoSimulator, values: np.ndarray) -> list[str]:
+def step_notes(simulator: MujocoSimulator, values: np.ndarray) -> list[str]:
     """One line where the step is coarse, none where it is fine enough."""
-    size, step = change(made, values), 1e3 * float(made.made.model.opt.timestep)
+    size, step = change(simulator, values), 1e3 * float(simulator.stepped_model.model.opt.timestep)
     if size < REMARK.step_noises:
         return []
     return [

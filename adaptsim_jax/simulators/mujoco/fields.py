@@ -22,11 +22,11 @@ from adaptsim_jax.mechanisms.model_numbers import (
     KINDS,
     OF_DOF,
     OPTION,
+    array_and_row,
     array_at,
     attributes,
     element_names,
     parse,
-    place,
 )
 from adaptsim_jax.simulators.mujoco.criteria import CANDIDATE
 
@@ -78,7 +78,7 @@ CONSTANTS = ("mass", "inertia", "ipos", "armature", "pos", "quat", "gear")
 
 
 @dataclass(frozen=True)
-class Field(Quantity):
+class ModelNumber(Quantity):
     """One number of a model, at all elements that its name stands for; `default` is what the model
     has.
 
@@ -97,12 +97,12 @@ class Field(Quantity):
         """One that shows in the motion and leaves it what it is."""
         return self.scale / CANDIDATE.size
 
-    def by(self, step: float) -> "Field":
-        """The same with another step."""
+    def by(self, step: float) -> "ModelNumber":
+        """Return a copy with another step."""
         return replace(self, prior=CANDIDATE.prior_width * step, scale=CANDIDATE.size * step)
 
 
-def number(
+def make_number(
     name: str,
     what: str,
     elements: tuple[int, ...],
@@ -110,23 +110,25 @@ def number(
     default: float,
     ends: tuple[float, float],
     step: float,
-) -> Field:
-    """A field with its unit; ends: its bounds."""
+) -> ModelNumber:
+    """Make a number with its unit; ends: its bounds."""
     stem = name.split("[")[0].split(".")
     angle = "rad" if name in (*TILTS, *GROUND[:2]) else "1"
     unit = UNITS.get(stem[-1], UNITS.get(stem[0], angle))
-    return Field(name, unit, *ends, default, field=what, elements=elements, index=index).by(step)
+    return ModelNumber(name, unit, *ends, default, field=what, elements=elements, index=index).by(
+        step
+    )
 
 
-def field(model: mujoco.MjModel, name: str) -> Field:
-    """The number of that name. Raises BadInput where the model has none, with what is near."""
+def model_number(model: mujoco.MjModel, name: str) -> ModelNumber:
+    """Find the number of that name. Raises BadInput where the model has none, with what is near."""
     if name == DELAY:
         ends = -CANDIDATE.max_delay, CANDIDATE.max_delay
-        return number(name, DELAY, (), 0, 0.0, ends, max(float(model.opt.timestep), 1e-3))
+        return make_number(name, DELAY, (), 0, 0.0, ends, max(float(model.opt.timestep), 1e-3))
     if name == GROUND[2]:
-        return number(name, name, (), 0, 0.0, (-1.0, 1.0), 5e-4)
+        return make_number(name, name, (), 0, 0.0, (-1.0, 1.0), 5e-4)
     if name in (*TILTS, *GROUND):
-        return number(name, name, (), 0, 0.0, (-0.5, 0.5), 0.002)
+        return make_number(name, name, (), 0, 0.0, (-0.5, 0.5), 0.002)
     form = parse(name)
     if form is None:
         raise BadInput(
@@ -139,114 +141,114 @@ def field(model: mujoco.MjModel, name: str) -> Field:
     else:
         elements = tuple(_elements(model, name, kind, element))
     low = 0.0 if what in POSITIVE else -np.inf
-    made = number(name, f"{kind}.{what}", elements, index or 0, 0.0, (low, np.inf), 1.0)
-    default = float(np.mean([_get(model, made, e) for e in elements]))
+    number = make_number(name, f"{kind}.{what}", elements, index or 0, 0.0, (low, np.inf), 1.0)
+    default = float(np.mean([_get(model, number, e) for e in elements]))
     size = abs(default) or TYPICAL.get(what, 0.1)
-    return replace(made, default=default).by(RELATIVE_STEP * size)
+    return replace(number, default=default).by(RELATIVE_STEP * size)
 
 
 def _elements(model: mujoco.MjModel, name: str, kind: str, pattern: str) -> list[int]:
     if kind not in KINDS:
         raise BadInput(f"quantity {name!r}: {suggest(kind, KINDS)}")
     names = [n or f"{kind}{i}" for i, n in enumerate(element_names(model, kind))]
-    some = [i for i, n in enumerate(names) if n == pattern]
-    if not some:
-        some = [i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)]
-    if not some:
+    matches = [i for i, n in enumerate(names) if n == pattern]
+    if not matches:
+        matches = [i for i, n in enumerate(names) if fnmatch.fnmatchcase(n, pattern)]
+    if not matches:
         raise BadInput(
             f"quantity {name!r}: the model has no {kind} {pattern!r}; {suggest(pattern, names)}"
         )
-    return some
+    return matches
 
 
-def _place(model: mujoco.MjModel, made: Field, element: int) -> tuple[np.ndarray, int, int]:
+def _place(model: mujoco.MjModel, number: ModelNumber, element: int) -> tuple[np.ndarray, int, int]:
     """Array, row and column of a number. Raises BadInput where the model has no such field."""
-    kind, what = made.field.split(".")
-    name, row = place(model, kind, what, element)
+    kind, what = number.field.split(".")
+    name, row = array_and_row(model, kind, what, element)
     array = array_at(model, name)
     if array is None and kind == OPTION:
-        raise BadInput(f"quantity {made.name!r}: MuJoCo's option has no {what!r}")
+        raise BadInput(f"quantity {number.name!r}: MuJoCo's option has no {what!r}")
     if array is None:
         raise BadInput(
-            f"quantity {made.name!r}: a {kind} has no {what!r}; "
+            f"quantity {number.name!r}: a {kind} has no {what!r}; "
             f"{suggest(what, [*attributes(model, kind), *OF_DOF, 'kp', 'kv'])}"
         )
     if kind == OPTION:
-        return np.atleast_1d(array), made.index, -1
-    if array.ndim > 1 and made.index >= array.shape[1]:
+        return np.atleast_1d(array), number.index, -1
+    if array.ndim > 1 and number.index >= array.shape[1]:
         raise BadInput(
-            f"quantity {made.name!r}: {what} has {array.shape[1]} numbers, counted from 0"
+            f"quantity {number.name!r}: {what} has {array.shape[1]} numbers, counted from 0"
         )
-    return array, row, made.index if array.ndim > 1 else -1
+    return array, row, number.index if array.ndim > 1 else -1
 
 
-def _get(model: mujoco.MjModel, made: Field, element: int) -> float:
-    if made.field == f"actuator.{STRENGTH}":
+def _get(model: mujoco.MjModel, number: ModelNumber, element: int) -> float:
+    if number.field == f"actuator.{STRENGTH}":
         return 1.0
-    if made.field == "actuator.kp":
+    if number.field == "actuator.kp":
         return float(-model.actuator_biasprm[element, 1])
-    if made.field == "actuator.kv":
+    if number.field == "actuator.kv":
         return float(-model.actuator_biasprm[element, 2])
-    array, row, column = _place(model, made, element)
+    array, row, column = _place(model, number, element)
     return float(array[row] if column < 0 else array[row, column])
 
 
-def _set(model: mujoco.MjModel, made: Field, element: int, value: float) -> None:
-    if made.field == f"actuator.{STRENGTH}":
+def _set(model: mujoco.MjModel, number: ModelNumber, element: int, value: float) -> None:
+    if number.field == f"actuator.{STRENGTH}":
         model.actuator_gainprm[element, :3] *= value
         model.actuator_biasprm[element, : 2 if model.actuator_biasprm[element, 1] else 3] *= value
-    elif made.field == "actuator.kp":
-        old = -model.actuator_biasprm[element, 1]
-        model.actuator_gainprm[element, 0] *= value / old if old else 1.0
+    elif number.field == "actuator.kp":
+        old_value = -model.actuator_biasprm[element, 1]
+        model.actuator_gainprm[element, 0] *= value / old_value if old_value else 1.0
         model.actuator_biasprm[element, 1] = -value
-    elif made.field == "actuator.kv":
+    elif number.field == "actuator.kv":
         bias = model.actuator_biasprm[element]
-        servo = bias[1] == 0 and model.actuator_gainprm[element, 0] == -bias[2]
+        is_speed_servo = bias[1] == 0 and model.actuator_gainprm[element, 0] == -bias[2]
         model.actuator_biasprm[element, 2] = -value
-        if servo:
+        if is_speed_servo:
             model.actuator_gainprm[element, 0] = value
-    elif made.field.startswith(f"{OPTION}."):
-        what = made.field.removeprefix(f"{OPTION}.")
-        old = getattr(model.opt, what)
-        array = np.array(np.atleast_1d(old), float)
-        array[made.index] = value
-        setattr(model.opt, what, array if np.ndim(old) else float(array[0]))
+    elif number.field.startswith(f"{OPTION}."):
+        what = number.field.removeprefix(f"{OPTION}.")
+        old_value = getattr(model.opt, what)
+        array = np.array(np.atleast_1d(old_value), float)
+        array[number.index] = value
+        setattr(model.opt, what, array if np.ndim(old_value) else float(array[0]))
     else:
-        array, row, column = _place(model, made, element)
+        array, row, column = _place(model, number, element)
         array[row if column < 0 else (row, column)] = value
 
 
 def with_values(
-    model: mujoco.MjModel, fields: Sequence[Field], values: Sequence[float]
+    model: mujoco.MjModel, fields: Sequence[ModelNumber], values: Sequence[float]
 ) -> mujoco.MjModel:
-    """A copy of the model with these numbers; a mass keeps its shape, so that its moments go with
-    it.
-    """
+    """Copy the model with these numbers; a mass keeps its shape, so that its moments go with it."""
     out = copy.copy(model)
     recompute = False
-    for made, value in zip(fields, values, strict=True):
+    for number, value in zip(fields, values, strict=True):
         if (
-            value == made.default
+            value == number.default
         ):  # a number for several elements has their mean, which is not what each of them has
             continue
-        if made.name in TILTS:
-            turned = np.zeros(3)
-            half = np.eye(3)[TILTS.index(made.name)] * np.sin(0.5 * value)
-            mujoco.mju_rotVecQuat(turned, out.opt.gravity, np.array([np.cos(0.5 * value), *half]))
-            out.opt.gravity = turned
+        if number.name in TILTS:
+            gravity = np.zeros(3)
+            half = np.eye(3)[TILTS.index(number.name)] * np.sin(0.5 * value)
+            mujoco.mju_rotVecQuat(gravity, out.opt.gravity, np.array([np.cos(0.5 * value), *half]))
+            out.opt.gravity = gravity
             continue
-        if made.name in GROUND:
-            _move_ground(out, made.name, value)
+        if number.name in GROUND:
+            _move_ground(out, number.name, value)
             recompute = True  # else a geom that lay in its body's frame is taken to lie there still
             continue
-        for element in made.elements:
-            if made.field == "body.mass" and out.body_mass[element] > 0:
+        for element in number.elements:
+            if number.field == "body.mass" and out.body_mass[element] > 0:
                 out.body_inertia[element] *= value / out.body_mass[element]
-            own = float(value)
-            if made.name.startswith(CONTACT):
-                own = min(_get(model, made, element) * value / made.default, made.high)
-            _set(out, made, element, own)
-        recompute |= made.field.split(".")[-1] in CONSTANTS
+            element_value = float(value)
+            if number.name.startswith(CONTACT):
+                element_value = min(
+                    _get(model, number, element) * value / number.default, number.high
+                )
+            _set(out, number, element, element_value)
+        recompute |= number.field.split(".")[-1] in CONSTANTS
     if recompute:
         mujoco.mj_setConst(out, mujoco.MjData(out))
     return out
@@ -266,7 +268,7 @@ def _move_ground(model: mujoco.MjModel, name: str, value: float) -> None:
             continue
         axis = np.eye(3)[GROUND.index(name)]
         turn = np.array([np.cos(0.5 * value), *axis * np.sin(0.5 * value)])
-        place, way = np.zeros(3), np.zeros(4)
-        mujoco.mju_rotVecQuat(place, model.geom_pos[g], turn)
-        mujoco.mju_mulQuat(way, turn, model.geom_quat[g])
-        model.geom_pos[g], model.geom_quat[g] = place, way
+        position, quaternion = np.zeros(3), np.zeros(4)
+        mujoco.mju_rotVecQuat(position, model.geom_pos[g], turn)
+        mujoco.mju_mulQuat(quaternion, turn, model.geom_quat[g])
+        model.geom_pos[g], model.geom_quat[g] = position, quaternion

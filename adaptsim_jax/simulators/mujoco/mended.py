@@ -10,8 +10,15 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.mechanisms.spec import compiled, shapeless
 from adaptsim_jax.mend.mjcf import edited, put_delay, put_field, put_inertia
 from adaptsim_jax.simulators.mujoco.acting import OUTSIDE
-from adaptsim_jax.simulators.mujoco.build import Stepped
-from adaptsim_jax.simulators.mujoco.fields import DELAY, GROUND, TILTS, Field, grounds, with_values
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
+from adaptsim_jax.simulators.mujoco.fields import (
+    DELAY,
+    GROUND,
+    TILTS,
+    ModelNumber,
+    grounds,
+    with_values,
+)
 
 INERTIA = ("mass", "ipos", "iquat", "inertia")
 ACTUATOR = ("gainprm", "biasprm")
@@ -21,34 +28,34 @@ field alone.
 SHAPED = (mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtGeom.mjGEOM_HFIELD)  # are placed by their own files
 
 
-def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, float]) -> str:
-    """The file of `made` with `values` by a field's name in it; what no model file holds stands in
-    comments above.
+def mended_mjcf(
+    stepped_model: SteppedModel, fields: Sequence[ModelNumber], values: Mapping[str, float]
+) -> str:
+    """The file of `stepped_model` with `values` by a field's name in it; what no model file holds
+    stands in comments above.
 
-    Args:
-        made: What was simulated. Its file is read anew, so that nothing is held or welded that was
-            not.
-        fields: Of `made`.
-        values: Those that differ from the file's are put in.
+    Args: stepped_model: What was simulated. Its file is read anew, so that nothing is held or
+        welded that was not. fields: Of `stepped_model`. values: Those that differ from the file's
+        are put in.
 
     Raises BadInput where MuJoCo refuses the result.
     """
     changed = [f for f in fields if values.get(f.name, f.default) != f.default]
-    held = [f for f in changed if f.field not in OUTSIDE]
+    in_file = [f for f in changed if f.field not in OUTSIDE]
 
     def edit(spec: mujoco.MjSpec) -> list[str]:
         comments = []
         try:
-            model = compiled(made.path, spec)
+            model = compiled(stepped_model.path, spec)
         except BadInput:
-            model = shapeless(made.path, spec)
+            model = shapeless(stepped_model.path, spec)
             comments.append(
                 "written without shapes: the meshes that this file names could not be read"
             )
-        own = [_own(made.model, model, f) for f in held]
-        there = with_values(model, own, [values[f.name] for f in held])
-        for f in own:
-            _put(spec, there, f)
+        file_fields = [_field_of_file(stepped_model.model, model, f) for f in in_file]
+        changed_model = with_values(model, file_fields, [values[f.name] for f in in_file])
+        for f in file_fields:
+            _put(spec, changed_model, f)
         for f in changed:
             if f.field == DELAY and values[f.name] > 0:
                 for actuator in spec.actuators:
@@ -60,10 +67,10 @@ def mended_mjcf(made: Stepped, fields: Sequence[Field], values: Mapping[str, flo
                 )
         return comments
 
-    return edited(made.path, edit)
+    return edited(stepped_model.path, edit)
 
 
-def _own(stepped: mujoco.MjModel, model: mujoco.MjModel, f: Field) -> Field:
+def _field_of_file(stepped: mujoco.MjModel, model: mujoco.MjModel, f: ModelNumber) -> ModelNumber:
     """A field of the model that was stepped as one of the file's own: joints may have other numbers
     there.
     """
@@ -73,24 +80,24 @@ def _own(stepped: mujoco.MjModel, model: mujoco.MjModel, f: Field) -> Field:
     return replace(f, elements=at)
 
 
-def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
+def _put(spec: mujoco.MjSpec, changed_model: mujoco.MjModel, f: ModelNumber) -> None:
     """What a field changed, from the model that has it into the file."""
     if f.name in TILTS:
-        spec.option.gravity = there.opt.gravity
+        spec.option.gravity = changed_model.opt.gravity
         return
     if f.name in GROUND:
-        for geom in (g for g in spec.geoms if g.id in grounds(there)):
+        for geom in (g for g in spec.geoms if g.id in grounds(changed_model)):
             if geom.type in SHAPED:
                 raise BadInput(
                     f"{f.name}: the ground '{geom.name}' is a mesh or a height field; move it by "
                     "hand"
                 )
-            geom.pos, geom.quat = there.geom_pos[geom.id], there.geom_quat[geom.id]
+            geom.pos, geom.quat = changed_model.geom_pos[geom.id], changed_model.geom_quat[geom.id]
             geom.alt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
         return
     kind, what = f.field.split(".")
     if kind == "option":
-        setattr(spec.option, what, getattr(there.opt, what))
+        setattr(spec.option, what, getattr(changed_model.opt, what))
         return
     listed = {
         "body": spec.bodies,
@@ -103,21 +110,21 @@ def _put(spec: mujoco.MjSpec, there: mujoco.MjModel, f: Field) -> None:
     names = {"body": (), "actuator": ACTUATOR}.get(kind, (what,))
     for element in (e for e in listed if e.id in f.elements):
         if kind == "body":
-            numbers = (getattr(there, f"body_{n}")[element.id] for n in INERTIA)
+            numbers = (getattr(changed_model, f"body_{n}")[element.id] for n in INERTIA)
             put_inertia(element, *numbers)
         for name in names:
-            put_field(element, name, _number(there, element, kind, name))
+            put_field(element, name, _number(changed_model, element, kind, name))
 
 
-def _number(there: mujoco.MjModel, element, kind: str, name: str):
+def _number(changed_model: mujoco.MjModel, element, kind: str, name: str):
     if kind != "joint":
-        return getattr(there, f"{kind}_{name}")[element.id]
-    if hasattr(there, f"dof_{name}"):
-        return getattr(there, f"dof_{name}")[int(there.jnt_dofadr[element.id])]
-    return _of_joint(there, element, name)
+        return getattr(changed_model, f"{kind}_{name}")[element.id]
+    if hasattr(changed_model, f"dof_{name}"):
+        return getattr(changed_model, f"dof_{name}")[int(changed_model.jnt_dofadr[element.id])]
+    return _of_joint(changed_model, element, name)
 
 
-def _of_joint(there: mujoco.MjModel, joint, name: str) -> float:
+def _of_joint(changed_model: mujoco.MjModel, joint, name: str) -> float:
     if name == "springref":
-        return float(there.qpos_spring[there.jnt_qposadr[joint.id]])
-    return float(np.ravel(getattr(there, f"jnt_{name}")[joint.id])[0])
+        return float(changed_model.qpos_spring[changed_model.jnt_qposadr[joint.id]])
+    return float(np.ravel(getattr(changed_model, f"jnt_{name}")[joint.id])[0])

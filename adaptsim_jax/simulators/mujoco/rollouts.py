@@ -15,7 +15,7 @@ from mujoco import rollout
 
 from adaptsim_jax.mechanisms.quaternions import between
 from adaptsim_jax.simulators.mujoco.acting import Acting, control_of
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.stretches import MujocoStretches, dofs
 
 FULL = int(mujoco.mjtState.mjSTATE_FULLPHYSICS)
@@ -25,42 +25,49 @@ START_STEP = 1e-5
 MAX_STATE_NUMBERS = 4e7  # numbers of states that are held at once: 320 MB
 
 
-def start_size(made: Stepped) -> int:
-    return 2 * made.model.nv + made.model.na
+def start_size(stepped_model: SteppedModel) -> int:
+    return 2 * stepped_model.model.nv + stepped_model.model.na
 
 
 def predict(
-    made: Stepped,
+    stepped_model: SteppedModel,
     stretches: MujocoStretches,
     starts: np.ndarray,
     lanes: np.ndarray,
     models: Sequence[mujoco.MjModel] = (),
-    by: Acting | None = None,
+    acting: Acting | None = None,
 ) -> np.ndarray:
     """What the channels would read [B, L, C], NaN where the simulation blew up.
 
     starts [B, 2 nv + na]; lanes [B]: the stretch of each; models: that of each (none: the one
     made); by: what else acts on each.
     """
-    size = mujoco.mj_stateSize(made.model, FULL)
+    size = mujoco.mj_stateSize(stepped_model.model, FULL)
     block = max(1, int(MAX_STATE_NUMBERS / (size * stretches.steps)))
     parts = []
     for i in range(0, len(lanes), block):
-        some = slice(i, i + block)
-        own = models[some] if len(models) else ()
+        part = slice(i, i + block)
+        part_models = models[part] if len(models) else ()
         parts.append(
             _predict(
-                made, stretches, starts[some], lanes[some], own, None if by is None else by.of(some)
+                stepped_model,
+                stretches,
+                starts[part],
+                lanes[part],
+                part_models,
+                None if acting is None else acting.of(part),
             )
         )
     return np.concatenate(parts)
 
 
-def _predict(made: Stepped, stretches: MujocoStretches, starts, lanes, models, by) -> np.ndarray:
-    model = made.model
+def _predict(
+    stepped_model: SteppedModel, stretches: MujocoStretches, starts, lanes, models, by
+) -> np.ndarray:
+    model = stepped_model.model
     threads = max(1, len(os.sched_getaffinity(0)))
-    states = initial_states(made, stretches, starts, lanes)
-    control, spec = control_of(made, stretches, lanes, by)
+    states = initial_states(stepped_model, stretches, starts, lanes)
+    control, spec = control_of(stepped_model, stretches, lanes, by)
     chosen = list(models) if len(models) else model
     data = [mujoco.MjData(model) for _ in range(min(threads, len(lanes)))]
     with quietly():
@@ -68,12 +75,12 @@ def _predict(made: Stepped, stretches: MujocoStretches, starts, lanes, models, b
             chosen, data, states, control, control_spec=spec, persistent_pool=True
         )
     path = np.concatenate([states[:, None], path], 1)
-    return read(made, stretches, path, sensed, lanes)
+    return read_channels(stepped_model, stretches, path, sensed, lanes)
 
 
 @contextlib.contextmanager
 def quietly() -> Iterator[None]:
-    """Without MuJoCo's warnings of runs that blow up, which it prints and writes into a file. They
+    """Silence MuJoCo's warnings of runs that blow up, which it prints and writes into a file. They
     are seen in the numbers.
     """
     before = mujoco.get_mju_user_warning()
@@ -85,16 +92,16 @@ def quietly() -> Iterator[None]:
 
 
 def initial_states(
-    made: Stepped, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
+    stepped_model: SteppedModel, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
 ) -> np.ndarray:
     """Full states [B, nstate] of starts."""
-    model, data = made.model, mujoco.MjData(made.model)
+    model, data = stepped_model.model, mujoco.MjData(stepped_model.model)
     nv = model.nv
     out = np.zeros((len(lanes), mujoco.mj_stateSize(model, FULL)))
     if model.nu and hasattr(model, "actuator_history"):
-        late = np.flatnonzero(model.actuator_history[:, 0])
+        delayed_actuators = np.flatnonzero(model.actuator_history[:, 0])
     else:
-        late = ()
+        delayed_actuators = ()
     times = {}
     for b, (w, x) in enumerate(zip(lanes, starts, strict=True)):
         qpos = stretches.qpos[w].copy()
@@ -103,24 +110,24 @@ def initial_states(
         data.qpos[:] = qpos
         data.qvel[:] = stretches.qvel[w] + x[nv : 2 * nv]
         data.act[:] = stretches.act[w] + x[2 * nv :]
-        for k in late:
+        for k in delayed_actuators:
             count = int(model.actuator_history[k, 0])
             if k not in times:
                 times[k] = -float(model.opt.timestep) * np.arange(count, 0, -1)
             if stretches.past.shape[2] == model.nu:
-                some = stretches.past[w, -count:, k]
+                history = stretches.past[w, -count:, k]
             else:
-                some = np.zeros(count)
-            some = np.concatenate([np.full(count - len(some), some[0]), some])
+                history = np.zeros(count)
+            history = np.concatenate([np.full(count - len(history), history[0]), history])
             mujoco.mj_initCtrlHistory(
-                model, data, int(k), times[k], np.ascontiguousarray(some[:, None])
+                model, data, int(k), times[k], np.ascontiguousarray(history[:, None])
             )
         mujoco.mj_getState(model, data, out[b], FULL)
     return out
 
 
-def read(
-    made: Stepped,
+def read_channels(
+    stepped_model: SteppedModel,
     stretches: MujocoStretches,
     path: np.ndarray,
     sensed: np.ndarray,
@@ -129,10 +136,10 @@ def read(
     """Channels [B, L, C] of paths [B, S+1, nstate] and sensors [B, S, nsensordata], between steps
     along straight lines.
     """
-    model, at = made.model, stretches.at[lanes]
-    low = np.minimum(np.floor(at + 1e-6).astype(int), path.shape[1] - 1)
+    model, row_steps = stepped_model.model, stretches.row_steps[lanes]
+    low = np.minimum(np.floor(row_steps + 1e-6).astype(int), path.shape[1] - 1)
     high = np.minimum(low + 1, path.shape[1] - 1)
-    share = np.clip(at - low, 0.0, 1.0)
+    share = np.clip(row_steps - low, 0.0, 1.0)
     share = np.where(share < 1e-6, 0.0, share)[..., None]
 
     def pick(rows, columns):
@@ -140,20 +147,23 @@ def read(
             return np.take_along_axis(path, rows[..., None], 1)[..., 1 + columns]
         return np.zeros((*rows.shape, 0))
 
-    angle = np.asarray(made.angle)
+    angle = np.asarray(stepped_model.angle)
     columns = [angle]
-    if has_speeds(made, stretches):
-        columns.append(model.nq + dofs(made))
-    if made.base >= 0:
-        columns.append(made.base + np.arange(7))
+    if has_speeds(stepped_model, stretches):
+        columns.append(model.nq + dofs(stepped_model))
+    if stepped_model.base >= 0:
+        columns.append(stepped_model.base + np.arange(7))
     columns = np.concatenate(columns)
     first, last = pick(low, columns), pick(high, columns)
-    if made.read:
-        felt, lane = sensed[..., [r.place for r in made.read]], np.arange(len(lanes))[:, None]
-        split = columns.size - (7 if made.base >= 0 else 0)
+    if stepped_model.sensors:
+        sensor_values, lane = (
+            sensed[..., [r.place for r in stepped_model.sensors]],
+            np.arange(len(lanes))[:, None],
+        )
+        split = columns.size - (7 if stepped_model.base >= 0 else 0)
 
         def with_sensors(z, k):
-            row = felt[lane, np.minimum(k, felt.shape[1] - 1)]
+            row = sensor_values[lane, np.minimum(k, sensor_values.shape[1] - 1)]
             return np.concatenate([z[..., :split], row, z[..., split:]], -1)
 
         first, last = with_sensors(first, low), with_sensors(last, high)
@@ -162,39 +172,55 @@ def read(
 
 
 def residual(
-    made: Stepped, stretches: MujocoStretches, predicted: np.ndarray, lanes: np.ndarray
+    stepped_model: SteppedModel,
+    stretches: MujocoStretches,
+    predicted: np.ndarray,
+    lanes: np.ndarray,
 ) -> np.ndarray:
     """Measured less predicted [B, L, C'], 0 where nothing was read; a base's orientation as three
     angles. A run that blew up is off by a large number.
     """
-    measured, mask = stretches.measured[lanes], stretches.seen[lanes]
-    if made.base >= 0:
+    measured, is_measured = stretches.measured[lanes], stretches.is_measured[lanes]
+    if stepped_model.base >= 0:
         turn = between(predicted[..., -4:], measured[..., -4:])
-        off = np.concatenate([measured[..., :-4] - predicted[..., :-4], turn], -1)
-        mask = np.concatenate([mask[..., :-4], mask[..., -4:-3].repeat(3, -1)], -1)
+        difference = np.concatenate([measured[..., :-4] - predicted[..., :-4], turn], -1)
+        is_measured = np.concatenate(
+            [is_measured[..., :-4], is_measured[..., -4:-3].repeat(3, -1)], -1
+        )
     else:
-        off = measured - predicted
-    return np.where(mask, np.where(np.isfinite(off), np.clip(off, -1e3, 1e3), 1e3), 0.0)
-
-
-def has_speeds(made: Stepped, stretches: MujocoStretches) -> bool:
-    """Whether speeds of the joints are among the channels."""
-    return stretches.measured.shape[2] - len(made.read) - (7 if made.base >= 0 else 0) == 2 * len(
-        made.angle
+        difference = measured - predicted
+    return np.where(
+        is_measured, np.where(np.isfinite(difference), np.clip(difference, -1e3, 1e3), 1e3), 0.0
     )
 
 
+def has_speeds(stepped_model: SteppedModel, stretches: MujocoStretches) -> bool:
+    """Whether speeds of the joints are among the channels."""
+    return stretches.measured.shape[2] - len(stepped_model.sensors) - (
+        7 if stepped_model.base >= 0 else 0
+    ) == 2 * len(stepped_model.angle)
+
+
 def by_start(
-    made: Stepped, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
+    stepped_model: SteppedModel, stretches: MujocoStretches, starts: np.ndarray, lanes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """(residual [B, L, C'], its derivative [B, L, C', 2 nv + na] by the starts), by forward
     differences.
     """
-    width = start_size(made)
-    base = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
-    moved = np.repeat(starts, width, 0)
-    moved[np.arange(len(moved)), np.tile(np.arange(width), len(starts))] += START_STEP
-    where = np.repeat(lanes, width)
-    off = residual(made, stretches, predict(made, stretches, moved, where), where)
-    slope = (off.reshape(len(starts), width, *base.shape[1:]) - base[:, None]) / START_STEP
+    width = start_size(stepped_model)
+    base = residual(
+        stepped_model, stretches, predict(stepped_model, stretches, starts, lanes), lanes
+    )
+    perturbed = np.repeat(starts, width, 0)
+    perturbed[np.arange(len(perturbed)), np.tile(np.arange(width), len(starts))] += START_STEP
+    perturbed_lanes = np.repeat(lanes, width)
+    perturbed_residual = residual(
+        stepped_model,
+        stretches,
+        predict(stepped_model, stretches, perturbed, perturbed_lanes),
+        perturbed_lanes,
+    )
+    slope = (
+        perturbed_residual.reshape(len(starts), width, *base.shape[1:]) - base[:, None]
+    ) / START_STEP
     return base, np.moveaxis(slope, 1, -1)

@@ -55,19 +55,19 @@ def readings(model: mujoco.MjModel, channels: Mapping[str, str], where: str) -> 
     out = []
     names = [model.sensor(k).name for k in range(model.nsensor)]
     for name in channels:
-        found = re.fullmatch(r"(.+?)(?:\[(\d+)\])?", name)
-        if found:
-            sensor, index = (found[1], int(found[2] or 0))
+        match = re.fullmatch(r"(.+?)(?:\[(\d+)\])?", name)
+        if match:
+            sensor, index = (match[1], int(match[2] or 0))
         else:
             sensor, index = (name, 0)
-        if not found or sensor not in names:
+        if not match or sensor not in names:
             if names:
-                near = suggest(sensor, names)
+                hint = suggest(sensor, names)
             else:
-                near = "it has none: add a <sensor> to the model file"
+                hint = "it has none: add a <sensor> to the model file"
             raise BadInput(
                 f"{where}: [channels] {channels[name]} = {name!r}: the model has no sensor "
-                f"{sensor!r}; {near}"
+                f"{sensor!r}; {hint}"
             )
         k = names.index(sensor)
         if index >= model.sensor_dim[k]:
@@ -85,7 +85,7 @@ def readings(model: mujoco.MjModel, channels: Mapping[str, str], where: str) -> 
     return tuple(out)
 
 
-def feels(spec: mujoco.MjSpec, channels: Iterable[str]) -> bool:
+def has_imu(spec: mujoco.MjSpec, channels: Iterable[str]) -> bool:
     """Whether a gyro and an accelerometer of the model are among the channels: then a base moves
     though its pose is not logged.
     """
@@ -95,19 +95,19 @@ def feels(spec: mujoco.MjSpec, channels: Iterable[str]) -> bool:
     return {mujoco.mjtSensor.mjSENS_GYRO, mujoco.mjtSensor.mjSENS_ACCELEROMETER} <= kinds
 
 
-def triple(own: tuple[Reading, ...], kind: str) -> list[int] | None:
+def triple(sensors: tuple[Reading, ...], kind: str) -> list[int] | None:
     """Places among the channels of the three axes of a gyro or an accelerometer, None where not all
     are logged.
     """
-    found = sorted((r.place, i) for i, r in enumerate(own) if r.kind == kind)
-    if len(found) >= 3:
-        return [i for _, i in found[:3]]
+    places = sorted((r.place, i) for i, r in enumerate(sensors) if r.kind == kind)
+    if len(places) >= 3:
+        return [i for _, i in places[:3]]
     return None
 
 
-def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.ndarray:
+def turn_of(model: mujoco.MjModel, sensors: tuple[Reading, ...], kind: str) -> np.ndarray:
     """Rotation [3, 3] from an IMU's axes to those of the body that carries it."""
-    first = next(r for r in own if r.kind == kind)
+    first = next(r for r in sensors if r.kind == kind)
     k = int(np.flatnonzero(model.sensor_adr <= first.place)[-1])
     out = np.zeros(9)
     mujoco.mju_quat2Mat(out, model.site_quat[int(model.sensor_objid[k])])
@@ -115,7 +115,7 @@ def turn_of(model: mujoco.MjModel, own: tuple[Reading, ...], kind: str) -> np.nd
 
 
 def oriented(
-    model: mujoco.MjModel, own: tuple[Reading, ...], time: np.ndarray, read: np.ndarray
+    model: mujoco.MjModel, sensors: tuple[Reading, ...], time: np.ndarray, read: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Unit quaternions [T, 4] (heading 0 at first) and rates [T, 3] rad/s, both of the body that
     carries an IMU.
@@ -123,36 +123,38 @@ def oriented(
     Its gyro is integrated and drawn towards gravity (Mahony's complementary filter), forth, back
     and forth again, so that no guess of where it began is left. read [T, m]: all channels.
     """
-    rate = read[:, triple(own, "gyro")] @ turn_of(model, own, "gyro").T
-    up = read[:, triple(own, "accelerometer")] @ turn_of(model, own, "accelerometer").T
+    rate = read[:, triple(sensors, "gyro")] @ turn_of(model, sensors, "gyro").T
+    up = read[:, triple(sensors, "accelerometer")] @ turn_of(model, sensors, "accelerometer").T
     rate, up = np.nan_to_num(rate), np.where(np.isfinite(up), up, [0.0, 0.0, 9.81])
     begin = up[time <= time[0] + ATTITUDE.settle].mean(0)
-    way, now = np.zeros(4), np.zeros(4)
-    mujoco.mju_quatZ2Vec(way, begin / max(np.linalg.norm(begin), 1e-9))
-    mujoco.mju_negQuat(now, way)
+    quaternion, current = np.zeros(4), np.zeros(4)
+    mujoco.mju_quatZ2Vec(quaternion, begin / max(np.linalg.norm(begin), 1e-9))
+    mujoco.mju_negQuat(current, quaternion)
     forth, back = slice(None), slice(None, None, -1)
     for order in (forth, back, forth):
-        out = _followed(now, time[order], rate[order], up[order])[order]
-        now = out[-1] if order is forth else out[0]
+        out = _filter_orientation(current, time[order], rate[order], up[order])[order]
+        current = out[-1] if order is forth else out[0]
     heading = np.array([out[0][0], 0.0, 0.0, -out[0][3]])
     return times(heading / np.linalg.norm(heading), out), rate
 
 
-def _followed(now: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Orientations [T, 4] from `now` on; time may run backwards. Where more than gravity acts, it
-    does not count.
+def _filter_orientation(
+    initial: np.ndarray, time: np.ndarray, rate: np.ndarray, up: np.ndarray
+) -> np.ndarray:
+    """Orientations [T, 4] from `initial` on; time may run backwards. Where more than gravity acts,
+    it does not count.
     """
-    out = np.tile(now, (len(time), 1))
+    out = np.tile(initial, (len(time), 1))
     for k in range(len(time) - 1):
         back, own_up, size = np.zeros(4), np.zeros(3), np.linalg.norm(up[k])
         mujoco.mju_negQuat(back, out[k])
         mujoco.mju_rotVecQuat(own_up, np.array([0.0, 0.0, 1.0]), back)
         step = float(time[k + 1] - time[k])
-        off = (size / 9.81 - 1.0) / ATTITUDE.calm
-        calm = ATTITUDE.follow * np.exp(-np.square(off)) * np.sign(step)
+        excess = (size / 9.81 - 1.0) / ATTITUDE.calm
+        gain = ATTITUDE.follow * np.exp(-np.square(excess)) * np.sign(step)
         out[k + 1] = out[k]
         tilt = np.cross(up[k] / max(size, 1e-9), own_up)
-        mujoco.mju_quatIntegrate(out[k + 1], rate[k] + calm * tilt, step)
+        mujoco.mju_quatIntegrate(out[k + 1], rate[k] + gain * tilt, step)
     return out
 
 

@@ -5,7 +5,7 @@ itself.
 import numpy as np
 
 from adaptsim_jax.diagnosis.steps import best_of, bounded_step, fit_starts
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.rollouts import (
     by_start,
     has_speeds,
@@ -21,17 +21,17 @@ LENGTHS = 0.25 ** np.arange(4.0)  # of a step, tried in turn
 EXACT_START_SQUARE = 1e-18  # rad^2 (m^2) a reading: nothing is left to fit
 
 
-def position_weight(made: Stepped, stretches: MujocoStretches) -> np.ndarray:
+def position_weight(stepped_model: SteppedModel, stretches: MujocoStretches) -> np.ndarray:
     """[C'] one for angles and the base's pose, zero for speeds and sensors: a replay counts
     positions alone.
     """
-    n = len(made.angle)
-    others = np.zeros(n * has_speeds(made, stretches) + len(made.read))
-    return np.concatenate([np.ones(n), others, np.ones(6 if made.base >= 0 else 0)])
+    n = len(stepped_model.angle)
+    others = np.zeros(n * has_speeds(stepped_model, stretches) + len(stepped_model.sensors))
+    return np.concatenate([np.ones(n), others, np.ones(6 if stepped_model.base >= 0 else 0)])
 
 
-def fitted(
-    made: Stepped,
+def fit_stretch_starts(
+    stepped_model: SteppedModel,
     stretches: MujocoStretches,
     weight: np.ndarray,
     rounds: int = MAX_START_ROUNDS,
@@ -42,30 +42,32 @@ def fitted(
     """
 
     def evaluate(starts: np.ndarray, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        off = residual(made, stretches, predict(made, stretches, starts, lanes), lanes)
+        off = residual(
+            stepped_model, stretches, predict(stepped_model, stretches, starts, lanes), lanes
+        )
         return off, np.square(off * weight).sum((1, 2))
 
     def propose(starts: np.ndarray, off: np.ndarray, lanes: np.ndarray) -> np.ndarray:
-        _, slope = by_start(made, stretches, starts, lanes)
+        _, slope = by_start(stepped_model, stretches, starts, lanes)
         step = np.stack([_step(r, j, weight) for r, j in zip(off, slope, strict=True)])
         return starts + LENGTHS[:, None, None] * step
 
-    zero = np.zeros((stretches.count, start_size(made)))
-    begun = best_of((zero, *_others(made, stretches)), evaluate)
-    readings = begun.left[0].size
-    open_ = np.flatnonzero(begun.loss > EXACT_START_SQUARE * readings)
-    found = fit_starts(begun, propose, evaluate, rounds, lanes=open_)
-    return found.starts, found.left
+    zero = np.zeros((stretches.count, start_size(stepped_model)))
+    best = best_of((zero, *_other_starts(stepped_model, stretches)), evaluate)
+    readings = best.left[0].size
+    unfinished = np.flatnonzero(best.loss > EXACT_START_SQUARE * readings)
+    fit = fit_starts(best, propose, evaluate, rounds, lanes=unfinished)
+    return fit.starts, fit.left
 
 
-def _others(made: Stepped, stretches: MujocoStretches) -> list[np.ndarray]:
+def _other_starts(stepped_model: SteppedModel, stretches: MujocoStretches) -> list[np.ndarray]:
     """Starts that may be nearer than smoothed speeds, which blur where a joint sticks: speeds by
     the rows just before, and rest.
     """
-    nv = made.model.nv
+    nv = stepped_model.model.nv
     out = []
-    for speed in (stretches.before, np.zeros_like(stretches.before)):
-        start = np.zeros((stretches.count, start_size(made)))
+    for speed in (stretches.speed_before, np.zeros_like(stretches.speed_before)):
+        start = np.zeros((stretches.count, start_size(stepped_model)))
         start[:, nv : 2 * nv] = speed - stretches.qvel
         out.append(start)
     return out

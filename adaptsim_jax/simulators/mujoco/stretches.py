@@ -12,7 +12,7 @@ from adaptsim_jax.logs.log import Log, LogTrial
 from adaptsim_jax.logs.noise import local_motion
 from adaptsim_jax.logs.stretch_rows import TrialSpans, stretch_rows
 from adaptsim_jax.mechanisms.quaternions import between
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.criteria import SIMULATION
 from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
 
@@ -20,24 +20,24 @@ from adaptsim_jax.simulators.mujoco.sensed import oriented, standing
 @dataclass(frozen=True)
 class MujocoStretches:
     """W stretches of S steps of a model. trial [W]; time [W, L] s since the trial began, of L rows
-    with `seen` [W, L, C] readings `measured` [W, L, C] of C channels (angles in the log's order,
-    then speeds where they are logged, sensors, the seven of a base); at [W, L]: rows in steps since
-    the start; control [W, S, nu]; past [W, B, nu]: commands of the B steps before; qpos [W, nq],
-    qvel [W, nv], act [W, na]: where each begins, from the measured motion; before [W, nv]: its
-    speeds by the rows just before.
+    with `is_measured` [W, L, C] readings `measured` [W, L, C] of C channels (angles in the log's
+    order, then speeds where they are logged, sensors, the seven of a base); `row_steps` [W, L]:
+    times of rows in steps since the start; control [W, S, nu]; past [W, B, nu]: commands of the B
+    steps before; qpos [W, nq], qvel [W, nv], act [W, na]: initial state of each, from the measured
+    motion; `speed_before` [W, nv]: its speeds by the rows just before.
     """
 
     trial: np.ndarray
     time: np.ndarray
     measured: np.ndarray
-    seen: np.ndarray
-    at: np.ndarray
+    is_measured: np.ndarray
+    row_steps: np.ndarray
     control: np.ndarray
     past: np.ndarray
     qpos: np.ndarray
     qvel: np.ndarray
     act: np.ndarray
-    before: np.ndarray
+    speed_before: np.ndarray
     names: tuple[str, ...]
 
     @property
@@ -49,53 +49,72 @@ class MujocoStretches:
         return self.control.shape[1]
 
 
-def cut(made: Stepped, log: Log, horizon: float, most: int) -> MujocoStretches:
-    """Stretches of `horizon` s of all trials; see `stretch_rows`.
+def cut_stretches(
+    stepped_model: SteppedModel, log: Log, horizon: float, max_stretches: int
+) -> MujocoStretches:
+    """Cut all trials into stretches of `horizon` s; see `stretch_rows`.
 
     Raises BadInput where no trial holds a whole one.
     """
-    model, trials = made.model, log.trials
+    model, trials = stepped_model.model, log.trials
     spans = []
     for trial in trials:
         last = np.searchsorted(trial.time, trial.time + horizon - 0.5 * trial.dt)
         spans.append(TrialSpans(trial.time, trial.q, last))
-    chosen = stretch_rows(spans, horizon, most, f"{log.path}: ")
+    chosen = stretch_rows(spans, horizon, max_stretches, f"{log.path}: ")
     ends = zip(chosen.trial, chosen.first, chosen.last, strict=True)
     seconds = [trials[k].time[last] - trials[k].time[first] for k, first, last in ends]
     steps = max(1, int(np.ceil(max(seconds) / float(model.opt.timestep) - 0.25)))
     motion = {k: _motion(trials[k]) for k in np.unique(chosen.trial)}
-    felt = _felt(made, log)
+    bases_from_imu = _bases_from_imu(stepped_model, log)
     inputs = [inputs_of(model, log, trial) for trial in trials]
-    lanes = []
-    for k, rows, own in zip(chosen.trial, *chosen.compared(), strict=True):
-        moving = (*motion[k], felt.get(k))
-        lanes.append(_lane(made, trials[k], moving, inputs[k], (rows, own), steps))
+    stretches = []
+    for k, rows, is_own in zip(chosen.trial, *chosen.compared(), strict=True):
+        moving = (*motion[k], bases_from_imu.get(k))
+        stretches.append(
+            _stretch(stepped_model, trials[k], moving, inputs[k], (rows, is_own), steps)
+        )
 
     def stack(key):
-        return np.stack([lane[key] for lane in lanes])
+        return np.stack([stretch[key] for stretch in stretches])
 
-    keys = ("time", "measured", "seen", "at", "control", "past", "qpos", "qvel", "act", "before")
+    keys = (
+        "time",
+        "measured",
+        "is_measured",
+        "row_steps",
+        "control",
+        "past",
+        "qpos",
+        "qvel",
+        "act",
+        "speed_before",
+    )
     return MujocoStretches(
         chosen.trial, **{k: stack(k) for k in keys}, names=tuple(t.name for t in trials)
     )
 
 
-def _felt(made: Stepped, log: Log) -> dict[int, tuple[np.ndarray, np.ndarray]]:
-    """By trial the orientation [T, 4] and rate [T, 3] of a base that only its IMU tells of. Empty
+def _bases_from_imu(
+    stepped_model: SteppedModel, log: Log
+) -> dict[int, tuple[np.ndarray, np.ndarray]]:
+    """Estimate by trial the orientation [T, 4] and rate [T, 3] rad/s of a base from its IMU. Empty
     where its pose is logged.
     """
-    if made.free < 0 or made.base >= 0:
+    if stepped_model.free < 0 or stepped_model.base >= 0:
         return {}
-    read = {
-        k: np.stack([t.channels[r.name] for r in made.read], 1) for k, t in enumerate(log.trials)
+    sensor_values = {
+        k: np.stack([t.channels[r.name] for r in stepped_model.sensors], 1)
+        for k, t in enumerate(log.trials)
     }
     return {
-        k: oriented(made.model, made.read, log.trials[k].time, values) for k, values in read.items()
+        k: oriented(stepped_model.model, stepped_model.sensors, log.trials[k].time, values)
+        for k, values in sensor_values.items()
     }
 
 
 def _motion(trial: LogTrial) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed angles and speeds [T, n]."""
+    """Smooth angles and speeds [T, n]."""
     if trial.q.shape[1]:
         return local_motion(trial.time, trial.q, trial.v)
     return (trial.q, trial.q)
@@ -125,146 +144,174 @@ def inputs_of(model: mujoco.MjModel, log: Log, trial: LogTrial) -> np.ndarray:
     return np.nan_to_num(out)
 
 
-def _lane(
-    made: Stepped,
+def _stretch(
+    stepped_model: SteppedModel,
     trial: LogTrial,
     motion,
     u: np.ndarray,
-    compared: tuple[np.ndarray, np.ndarray],
+    compared_rows: tuple[np.ndarray, np.ndarray],
     steps: int,
 ) -> dict:
     """The arrays of a stretch of a trial; compared: its rows [L], and whether they are its own;
     steps: of the longest stretch.
     """
-    live, here = compared
-    begin, h = int(live[0]), float(made.model.opt.timestep)
-    start = trial.time[begin]
+    rows, is_own = compared_rows
+    first_row, h = int(rows[0]), float(stepped_model.model.opt.timestep)
+    start = trial.time[first_row]
 
     def row_of(t):
         row = np.searchsorted(trial.time, t + 0.5 * h - 1e-9, side="right") - 1
         return np.clip(row, 0, len(trial.time) - 1)
 
     control = u[row_of(start + h * np.arange(steps))]
-    before = max(1, int(np.ceil(SIMULATION.past / h)))
-    past = u[row_of(start - h * np.arange(before, 0, -1))]
-    base = trial.base if made.base >= 0 else None
-    channels = [trial.q[live]]
+    n_past = max(1, int(np.ceil(SIMULATION.past / h)))
+    past = u[row_of(start - h * np.arange(n_past, 0, -1))]
+    base = trial.base if stepped_model.base >= 0 else None
+    channels = [trial.q[rows]]
     if trial.v is not None:
-        channels.append(trial.v[live])
-    channels += [trial.channels[r.name][live, None] for r in made.read]
+        channels.append(trial.v[rows])
+    channels += [trial.channels[r.name][rows, None] for r in stepped_model.sensors]
     if base is not None:
-        channels.append(base[live])
+        channels.append(base[rows])
     measured = np.concatenate(channels, 1)
-    qpos, qvel = _start(made, trial, motion, begin)
-    at = np.clip((trial.time[live] - start) / h, 0, steps)
-    mask = np.isfinite(measured) & here[:, None]
-    if made.read:  # a sensor is read where a step begins, and none begins at the end
-        last = measured.shape[1] - (7 if made.base >= 0 else 0)
-        mask[:, last - len(made.read) : last] &= (at <= steps - 1 + 1e-6)[:, None]
+    qpos, qvel = _initial_state(stepped_model, trial, motion, first_row)
+    row_steps = np.clip((trial.time[rows] - start) / h, 0, steps)
+    is_measured = np.isfinite(measured) & is_own[:, None]
+    if stepped_model.sensors:  # a sensor is read where a step begins, and none begins at the end
+        n_channels = measured.shape[1] - (7 if stepped_model.base >= 0 else 0)
+        is_measured[:, n_channels - len(stepped_model.sensors) : n_channels] &= (
+            row_steps <= steps - 1 + 1e-6
+        )[:, None]
     return {
-        "time": trial.time[live] - trial.time[0],
+        "time": trial.time[rows] - trial.time[0],
         "measured": np.nan_to_num(measured),
-        "seen": mask,
-        "at": at,
+        "is_measured": is_measured,
+        "row_steps": row_steps,
         "control": control,
         "past": past,
         "qpos": qpos,
         "qvel": qvel,
-        "act": _act(made, qpos, past),
-        "before": _rate_before(made, trial, begin, qpos, qvel),
+        "act": _initial_activations(stepped_model, qpos, past),
+        "speed_before": _speeds_before(stepped_model, trial, first_row, qpos, qvel),
     }
 
 
-def _start(made: Stepped, trial: LogTrial, motion, begin: int) -> tuple[np.ndarray, np.ndarray]:
+def _initial_state(
+    stepped_model: SteppedModel, trial: LogTrial, motion, first_row: int
+) -> tuple[np.ndarray, np.ndarray]:
     """qpos [nq] and qvel [nv] from the measured motion. What was not logged as the loops and
     equalities of the model have it.
     """
-    model, data = made.model, mujoco.MjData(made.model)
-    qpos, qvel = made.pose.copy(), np.zeros(model.nv)
-    q, v, felt = motion
-    measured = trial.q[begin]
-    qpos[made.angle] = np.where(np.isfinite(measured), measured, q[begin])
-    dof = dofs(made)
+    model, data = stepped_model.model, mujoco.MjData(stepped_model.model)
+    qpos, qvel = stepped_model.pose.copy(), np.zeros(model.nv)
+    q, v, base_from_imu = motion
+    measured = trial.q[first_row]
+    qpos[stepped_model.angle] = np.where(np.isfinite(measured), measured, q[first_row])
+    dof = dofs(stepped_model)
     if trial.v is None:
-        speed = v[begin]
+        speed = v[first_row]
     else:
-        speed = np.where(np.isfinite(trial.v[begin]), trial.v[begin], v[begin])
+        speed = np.where(np.isfinite(trial.v[first_row]), trial.v[first_row], v[first_row])
     qvel[dof] = speed
-    known = np.zeros(model.nv, bool)
-    known[dof] = True
-    if made.base >= 0 and trial.base is not None:
-        qpos[made.base : made.base + 7] = trial.base[begin]
-        k = int(np.flatnonzero(model.jnt_qposadr == made.base)[0])
-        at = int(model.jnt_dofadr[k])
-        known[at : at + 6] = True
-        qvel[at : at + 6] = _base_rate(trial, begin)
-    if felt is not None:
-        at = int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == made.free)[0]])
-        known[at : at + 6] = True
-        qpos[made.free : made.free + 2] = 0.0
-        qpos[made.free + 3 : made.free + 7] = felt[0][begin]
-        qvel[at + 3 : at + 6] = felt[1][begin]
-        standing(model, data, made.free, qpos, qvel)
-    if not known.all() and model.neq:
-        qpos, qvel = _consistent(model, data, qpos, qvel, ~known)
+    is_logged = np.zeros(model.nv, bool)
+    is_logged[dof] = True
+    if stepped_model.base >= 0 and trial.base is not None:
+        qpos[stepped_model.base : stepped_model.base + 7] = trial.base[first_row]
+        k = int(np.flatnonzero(model.jnt_qposadr == stepped_model.base)[0])
+        first_dof = int(model.jnt_dofadr[k])
+        is_logged[first_dof : first_dof + 6] = True
+        qvel[first_dof : first_dof + 6] = _base_rate(trial, first_row)
+    if base_from_imu is not None:
+        first_dof = int(
+            model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == stepped_model.free)[0]]
+        )
+        is_logged[first_dof : first_dof + 6] = True
+        qpos[stepped_model.free : stepped_model.free + 2] = 0.0
+        qpos[stepped_model.free + 3 : stepped_model.free + 7] = base_from_imu[0][first_row]
+        qvel[first_dof + 3 : first_dof + 6] = base_from_imu[1][first_row]
+        standing(model, data, stepped_model.free, qpos, qvel)
+    if not is_logged.all() and model.neq:
+        qpos, qvel = _satisfy_equalities(model, data, qpos, qvel, ~is_logged)
     return qpos, qvel
 
 
-def _rate_before(
-    made: Stepped, trial: LogTrial, begin: int, qpos: np.ndarray, qvel: np.ndarray
+def _speeds_before(
+    stepped_model: SteppedModel, trial: LogTrial, first_row: int, qpos: np.ndarray, qvel: np.ndarray
 ) -> np.ndarray:
     """Speeds [nv] by the last two rows up to a start; as they are where there is none before."""
     out = qvel.copy()
-    if begin > 0:
-        dt = trial.time[begin] - trial.time[begin - 1]
-        change = (trial.q[begin] - trial.q[begin - 1]) / dt
-        known = np.isfinite(change)
-        dof = dofs(made)
-        out[dof[known]] = change[known]
-        if made.base >= 0:
-            at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.base)[0]])
-            out[at : at + 6] = _base_rate(trial, begin, slice(begin - 1, begin + 1))
-        unknown = ~_known(made)
-        if unknown.any() and made.model.neq:
-            out = _consistent(made.model, mujoco.MjData(made.model), qpos.copy(), out, unknown)[1]
+    if first_row > 0:
+        dt = trial.time[first_row] - trial.time[first_row - 1]
+        change = (trial.q[first_row] - trial.q[first_row - 1]) / dt
+        is_read = np.isfinite(change)
+        dof = dofs(stepped_model)
+        out[dof[is_read]] = change[is_read]
+        if stepped_model.base >= 0:
+            first_dof = int(
+                stepped_model.model.jnt_dofadr[
+                    np.flatnonzero(stepped_model.model.jnt_qposadr == stepped_model.base)[0]
+                ]
+            )
+            out[first_dof : first_dof + 6] = _base_rate(
+                trial, first_row, slice(first_row - 1, first_row + 1)
+            )
+        is_unlogged = ~_is_logged(stepped_model)
+        if is_unlogged.any() and stepped_model.model.neq:
+            out = _satisfy_equalities(
+                stepped_model.model,
+                mujoco.MjData(stepped_model.model),
+                qpos.copy(),
+                out,
+                is_unlogged,
+            )[1]
     return out
 
 
-def _known(made: Stepped) -> np.ndarray:
-    """[nv]: whether a log tells the speed."""
-    out = np.zeros(made.model.nv, bool)
-    out[dofs(made)] = True
-    if made.free >= 0:
-        at = int(made.model.jnt_dofadr[np.flatnonzero(made.model.jnt_qposadr == made.free)[0]])
-        out[at : at + 6] = True
-    return out
+def _is_logged(stepped_model: SteppedModel) -> np.ndarray:
+    """Return by DOF [nv] whether its speed is logged."""
+    is_logged = np.zeros(stepped_model.model.nv, bool)
+    is_logged[dofs(stepped_model)] = True
+    if stepped_model.free >= 0:
+        first_dof = int(
+            stepped_model.model.jnt_dofadr[
+                np.flatnonzero(stepped_model.model.jnt_qposadr == stepped_model.free)[0]
+            ]
+        )
+        is_logged[first_dof : first_dof + 6] = True
+    return is_logged
 
 
-def dofs(made: Stepped) -> np.ndarray:
+def dofs(stepped_model: SteppedModel) -> np.ndarray:
     """[n]: where the speed of each joint of the log is in qvel."""
-    model = made.model
+    model = stepped_model.model
     return np.array(
-        [int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]]) for a in made.angle], int
+        [
+            int(model.jnt_dofadr[np.flatnonzero(model.jnt_qposadr == a)[0]])
+            for a in stepped_model.angle
+        ],
+        int,
     )
 
 
-def _base_rate(trial: LogTrial, row: int, some: slice | None = None) -> np.ndarray:
+def _base_rate(trial: LogTrial, row: int, rows: slice | None = None) -> np.ndarray:
     """[6] m/s in the world and rad/s in the base, by differences over some rows (None: about
     one).
     """
     assert trial.base is not None
-    some = some or slice(max(0, row - 2), row + 3)
-    t, place, turn = trial.time[some], trial.base[some, :3], trial.base[some, 3:]
+    rows = rows or slice(max(0, row - 2), row + 3)
+    t, place, orientation = trial.time[rows], trial.base[rows, :3], trial.base[rows, 3:]
     out = np.zeros(6)
     out[:3] = np.polyfit(t - trial.time[row], place, min(2, len(t) - 1))[-2]
-    angle = between(trial.base[row, 3:], turn)
+    angle = between(trial.base[row, 3:], orientation)
     out[3:] = np.polyfit(t - trial.time[row], angle, min(2, len(t) - 1))[-2]
     return out
 
 
-def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """With what is `free` [nv] moved until equalities hold, by Gauss and Newton's steps; the rest
-    as it was measured.
+def _satisfy_equalities(
+    model, data, qpos, qvel, is_free: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Move DOFs that are free (`is_free` [nv]) until equalities hold, by Gauss and Newton's steps;
+    the others stay as measured.
     """
     for _ in range(20):
         data.qpos[:], data.qvel[:] = qpos, qvel
@@ -281,24 +328,26 @@ def _consistent(model, data, qpos, qvel, free: np.ndarray) -> tuple[np.ndarray, 
             )
         else:
             jacobian[:] = data.efc_J.reshape(-1, model.nv)[: data.nefc]
-        j, off = jacobian[rows], data.efc_pos[rows]
+        j, violation = jacobian[rows], data.efc_pos[rows]
         step = np.zeros(model.nv)
-        step[free] = -np.linalg.lstsq(j[:, free], off, rcond=1e-6)[0]
+        step[is_free] = -np.linalg.lstsq(j[:, is_free], violation, rcond=1e-6)[0]
         mujoco.mj_integratePos(model, qpos, step, 1.0)
         if np.abs(step).max() < 1e-10:
             break
     if len(rows):
         qvel = qvel.copy()
-        driven = j[:, ~free] @ qvel[~free]
-        qvel[free] = -np.linalg.lstsq(j[:, free], driven, rcond=1e-6)[0]
+        logged_rate = j[:, ~is_free] @ qvel[~is_free]
+        qvel[is_free] = -np.linalg.lstsq(j[:, is_free], logged_rate, rcond=1e-6)[0]
     return qpos, qvel
 
 
-def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
+def _initial_activations(
+    stepped_model: SteppedModel, qpos: np.ndarray, past: np.ndarray
+) -> np.ndarray:
     """Activations [na] at a start: filters as the commands before bring them about, integrators
     where their actuators are.
     """
-    model = made.model
+    model = stepped_model.model
     out = np.zeros(model.na)
     data = mujoco.MjData(model)
     data.qpos[:] = qpos
@@ -319,13 +368,13 @@ def _act(made: Stepped, qpos: np.ndarray, past: np.ndarray) -> np.ndarray:
     return out
 
 
-def late(past: np.ndarray, control: np.ndarray, steps: np.ndarray) -> np.ndarray:
-    """Commands [W, S, nu] that act so many `steps` [W] later (below zero: earlier), between steps
-    as a mix of both.
+def delay_commands(past: np.ndarray, control: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Delay commands [W, S, nu] by `steps` [W] (below zero: earlier), between steps as a mix of
+    both.
     """
-    both = np.concatenate([past, control], 1)
-    before, last = past.shape[1], both.shape[1] - 1
-    at = np.clip(before + np.arange(control.shape[1]) - steps[:, None], 0, last)
-    low = np.floor(at).astype(int)
-    share, row = (at - low)[..., None], np.arange(len(steps))[:, None]
-    return (1.0 - share) * both[row, low] + share * both[row, np.minimum(low + 1, last)]
+    commands = np.concatenate([past, control], 1)
+    n_past, last = past.shape[1], commands.shape[1] - 1
+    position = np.clip(n_past + np.arange(control.shape[1]) - steps[:, None], 0, last)
+    low = np.floor(position).astype(int)
+    share, row = (position - low)[..., None], np.arange(len(steps))[:, None]
+    return (1.0 - share) * commands[row, low] + share * commands[row, np.minimum(low + 1, last)]

@@ -4,44 +4,44 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.logs.log import Log
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.criteria import REMARK
 
 
-def touching(made: Stepped, log: Log) -> str:
-    """In words which bodies touch, and in how many of the recorded poses; '' where hardly any
+def touching(stepped_model: SteppedModel, log: Log) -> str:
+    """Say which bodies touch, and in how many of the recorded poses; '' where hardly any
     do.
     """
-    model = made.model
+    model = stepped_model.model
     if model.opt.disableflags & int(mujoco.mjtDisableBit.mjDSBL_CONTACT):
         return ""
     data = mujoco.MjData(model)
     q = np.concatenate([t.q for t in log.trials])
-    if made.base < 0:
+    if stepped_model.base < 0:
         base = None
     else:
         base = np.concatenate([t.base for t in log.trials if t.base is not None])
     rows = np.unique(np.linspace(0, len(q) - 1, min(REMARK.pose_rows, len(q))).astype(int))
-    hits, pairs = 0, {}
+    n_touching, pairs = 0, {}
     for row in rows:
         if not np.isfinite(q[row]).all():
             continue
-        data.qpos[:] = made.pose
-        data.qpos[made.angle] = q[row]
+        data.qpos[:] = stepped_model.pose
+        data.qpos[stepped_model.angle] = q[row]
         if base is not None:
-            data.qpos[made.base : made.base + 7] = base[row]
+            data.qpos[stepped_model.base : stepped_model.base + 7] = base[row]
         mujoco.mj_fwdPosition(model, data)
-        found = {
+        pairs_here = {
             tuple(sorted(model.geom_bodyid[[c.geom1, c.geom2]]))
             for c in data.contact[: data.ncon]
             if c.dist < 0 and c.geom1 >= 0
         }
-        hits += bool(found)
-        for pair in found:
+        n_touching += bool(pairs_here)
+        for pair in pairs_here:
             pairs[pair] = pairs.get(pair, 0) + 1
-    if hits <= REMARK.touching_share * len(rows):
+    if n_touching <= REMARK.touching_share * len(rows):
         return ""
     one, two = max(pairs, key=pairs.__getitem__)
-    share = 100 * hits / len(rows)
+    share = 100 * n_touching / len(rows)
     names = [model.body(int(b)).name or "world" for b in (one, two)]
     return f"contact: {names[0]} and {names[1]} touch in {share:.0f} % of the poses"

@@ -118,8 +118,8 @@ def check_columns(columns: Columns, where: str) -> None:
     motion = motion_of([track])
     found = linear_fit(motion, lambda m, gravity: plain(m, gravity) * USUAL, first=len(USUAL))
     if (
-        len(motion.q) >= BLOCK.enough
-        and found.left < CONTRADICTION.doubted
+        len(motion.q) >= BLOCK.min_blocks
+        and found.unexplained_share < CONTRADICTION.min_doubted_share
         and not 1.0 / WILD < found.scale < WILD
     ):
         raise BadInput(

@@ -3,9 +3,9 @@ simulator of this task.
 
 Pressure fields after Elandt et al. (2019), discrete hydroelastic contact after Masterjohn et al.
 (2022), contact solved as SAP's convex problem after Castro et al. (2022); see `hydro_shapes`,
-`_contact` and `_sap`. The scene is symmetric about the vertical plane of the motion, so the piece
-has three degrees of freedom. Everything is pure and traced: shape, height, friction, modulus and
-action; float32 or, where JAX is told so, float64.
+`hydro_contact` and `hydro_sap`. The scene is symmetric about the vertical plane of the motion, so
+the piece has three degrees of freedom. Everything is pure and traced: shape, height, friction,
+modulus and action; float32 or, where JAX is told so, float64.
 """
 
 from __future__ import annotations

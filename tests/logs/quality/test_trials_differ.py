@@ -40,7 +40,7 @@ def test_zeros_that_differ_are_told_with_their_sizes(tmp_path, size):
         c | {"q1": c["q1"] + a, "q2": c["q2"] + b} for c, (a, b) in zip(trials, off, strict=True)
     ]
     found = differ_of(tmp_path, moved)
-    assert found.kind == "zero" and found.takes > 0.8
+    assert found.kind == "zero" and found.explained_share > 0.8
     np.testing.assert_allclose(found.size[:, 0], off[:, 0] - np.median(off[:, 0]), atol=0.4 * size)
     (line,) = sentences(found, WORDS)
     assert "zeros of the angles differ from trial to trial" in line and "degrees) in q1" in line
