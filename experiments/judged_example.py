@@ -165,7 +165,7 @@ def draw_test(differences: np.ndarray, page: Path) -> dict:
     right.hist(sums, 60, color=GREY, label="with random signs")
     right.axvline(own, color=RED, label="as measured")
     right.set(xlabel="sum over blocks", ylabel="of 10,000 draws")
-    right.legend(frameon=False, fontsize=8, loc="upper center")
+    right.legend(frameon=False, fontsize=8, loc="upper left")
     save(figure, page / "judged_test.png")
     return {"blocks": len(differences), "sum": own, "largest_random": float(sums.max())}
 

@@ -57,7 +57,7 @@ def test_the_example_has_the_numbers_of_its_run():
     level = effect["parameters"]["level"]
     for shown in (
         f"{1e3 * error['before']:.2f} mrad",
-        f"{1e3 * error['after']:.2f} mrad",
+        f"**{1e3 * error['after']:.2f} mrad**",
         f"{1e3 * level['value']:.2f} mN m",
         f"[{1e3 * level['low']:.1f}, {1e3 * level['high']:.1f}]",
         f"{100 * effect['held_out_gain']:.0f} % off the squared error",
@@ -66,7 +66,9 @@ def test_the_example_has_the_numbers_of_its_run():
     ):
         assert shown in text, shown
     assert (effect["name"], JUDGED["verdict"]) == ("coulomb", "explained")
-    assert JUDGED["scores"][0]["name"] == "angle_friction"  # what the page says of scores
+    dropped = next(step for step in JUDGED["trace"] if step[0] == "dropped")
+    assert dropped[1] == "encoder_scale" and "p 0.93" in dropped[3]
+    assert [one["name"] for one in JUDGED["instead"]] == ["stribeck", "friction_drift"]
     assert JUDGED["test"]["largest_random"] < JUDGED["test"]["sum"]
 
 
