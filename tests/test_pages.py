@@ -22,7 +22,7 @@ BY_ROBOT = ("so101", "arm", "unitree", "bench")
 NOT_RUN = re.compile(r"^```\{\.(?:bash|python) title=\"needs the (?:\w+)\"\}$", re.M)
 
 LINK = """<body pos="0 0 {z}"><joint name="{a}" axis="0 1 0" range="-1.5 1.5" damping="0.2"/>
-<geom type="capsule" fromto="0 0 0 0 0 -0.2" size="0.02" mass="0.4"/>{more}</body>"""
+<inertial pos="0 0 -0.1" mass="0.4" diaginertia="0.002 0.002 0.0002"/>{more}</body>"""
 ROBOT = """<mujoco><compiler angle="radian"/><option timestep="0.002" integrator="implicitfast"/>
 <worldbody>{base}</worldbody><actuator>{actuators}</actuator></mujoco>"""
 SERVO = '<position name="{n}" joint="{n}" kp="20" kv="0.5" ctrlrange="-1 1" forcerange="-8 8"/>'
@@ -115,7 +115,7 @@ def test_what_an_agent_is_told_runs(tmp_path):
     tutorial = RUN["BLOCK"].findall((DOCS / "tutorials" / "diagnose.md").read_text())
     RUN["python"](tutorial[0][1], {"__name__": "__main__"}, tmp_path)
     printed = RUN["run_page"](ROOT / "SKILL.md", tmp_path)
-    assert "coulomb" in printed[0] + printed[-2] and (tmp_path / "out" / "model.toml").exists()
+    assert "coulomb shoulder" in printed[-2] and "skill" in printed[-1]
 
 
 @pytest.mark.parametrize("file", ["llms.txt", "SKILL.md", "SECURITY.md", "README.md"])
