@@ -20,6 +20,7 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+RULES = "<!-- the table of rules, from adaptsim_jax/diagnosis/rules.py -->"
 SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping", "environment")
 
@@ -44,9 +45,16 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    """MkDocs: a tutorial with what its blocks print."""
+    """MkDocs: a tutorial with what its blocks print, and the table of rules where a page has it."""
     source = Path(page.file.abs_src_path or "")
-    return with_outputs(markdown, source.parent / "outputs" / source.stem)
+    return with_rules(with_outputs(markdown, source.parent / "outputs" / source.stem))
+
+
+def with_rules(markdown: str) -> str:
+    """The page with the rules of the search in the place of `RULES`."""
+    from adaptsim_jax.diagnosis.rules import table
+
+    return markdown.replace(RULES, table())
 
 
 def with_outputs(markdown: str, outputs: Path) -> str:
@@ -72,7 +80,7 @@ def rules() -> str:
     steps = "\n".join(f"| `{code}` | {_barred(words)} |" for code, words in STEPS.items())
     return (
         "# Rules of the search\n\nMade from `adaptsim_jax/diagnosis/rules.py`. What fails at stage "
-        "*model* does not predict; what fails at stage *name* predicts, and is too small, unsteady "
+        "*model* does not predict. What fails at stage *name* predicts, and is too small, unsteady "
         "or unresolved for a name. Both go, unless the objective leaves them in the model without "
         "a name. A rule that "
         "does not apply to a search, a machine or an effect is not asked.\n\n"

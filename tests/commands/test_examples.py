@@ -18,7 +18,7 @@ from adaptsim_jax.tasks.pushing import engines as pushing
 from adaptsim_jax.tasks.scooping import engines as scooping
 
 ROOT = Path(__file__).parents[2]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "SKILL.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def lines(text):
