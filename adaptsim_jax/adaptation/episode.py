@@ -108,11 +108,15 @@ def look(run_key, noise_key, task: Task, attempt: PolicyTrial, noise: Array | fl
     """Run the policy in its target and look at what came of it."""
     dist, policy, target, reference = attempt
     trajectory = task.rollout(run_key, policy, target)
-    obs = task.observe(trajectory)
-    obs = obs + noise * jax.random.normal(noise_key, obs.shape, obs.dtype)
-    whole = jnp.concatenate([2.0 * dist.mean - 1.0, obs])
+    whole = as_seen(noise_key, dist.mean, task.observe(trajectory), noise)
     score, reward = task.score(trajectory), task.reward(trajectory, reference)
     return Visit(dist.mean, policy, whole, score, reward)
+
+
+def as_seen(key: Array, mean: Array, obs: Array, noise: Array | float = 0.0) -> Array:
+    """`[D + obs_dim]`, what the adaptation policy is given of `obs [obs_dim]` at E's `mean [D]`."""
+    obs = obs + noise * jax.random.normal(key, obs.shape, obs.dtype)
+    return jnp.concatenate([2.0 * mean - 1.0, obs])
 
 
 def run_episode(

@@ -77,6 +77,9 @@ class Phase1(NamedTuple):
     config: Phase1Config
     bdq: BDQ
     init: Callable[[Array], Phase1State]
+    begin: Callable[..., BegunTrajectories]
+    exploring: Callable[..., tuple[Callable, StepPlan, Array]]
+    learn: Callable[..., tuple[Phase1State, Phase1Info]]
     round: Callable[..., tuple[Phase1State, Phase1Info]]
     run: Callable[..., tuple[Phase1State, Phase1Info]]
 
@@ -87,7 +90,11 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
     (`sweep_plan.spread` shares them out among devices).
 
     * `init(key) -> Phase1State`
-    * `round(state, hyper, number []) -> (state, info)`
+    * `begin(key, hyper) -> BegunTrajectories [P]`: fresh targets and fresh starts
+    * `exploring(state, hyper, number []) -> (act, plan, epsilon)`: how its trajectories go
+    * `learn(key, state, hyper, number [], episodes [P, ...], epsilon) -> (state, info)`: from them,
+      whoever ran them
+    * `round(state, hyper, number []) -> (state, info)`: these together
     * `run(state, hyper, numbers [R]) -> (state, info [R])`: a scan; leave `numbers` unbatched when
       vmapping
     """
@@ -108,27 +115,35 @@ def make_phase1(task: Task, config: Phase1Config, over: Callable = jax.vmap) -> 
         rings = _empty_replay(bdq, config), _empty_archive(task, config)
         return Phase1State(key, bdq.init(net), *rings, _first_pool(net, task, config))
 
-    def one_round(state, hyper, number):
-        act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
-        epsilon = _epsilon(config, hyper, number)
-        episodes, pool, reused = _collect(
-            act_key, stage, (bdq, config), hyper, state, epsilon, over
-        )
+    def begin(key, hyper):
+        keys = jax.random.split(key, config.parallel)
+        return jax.vmap(lambda k: _begun(k, stage, hyper))(keys)
+
+    def exploring(state, hyper, number):
+        return _exploring(bdq, config, stage, hyper, state, number)
+
+    def learn(key, state, hyper, number, episodes, epsilon, reused=()):
         batch, shaped = _transitions(episodes, hyper)
         state = state._replace(
             replay=ring.write(state.replay, batch, number),
             archive=_remember(state.archive, episodes, number),
-            pool=pool,
         )
-        learner, stats = _learn(learn_key, bdq, config, hyper, state, number)
+        learner, stats = _learn(key, bdq, config, hyper, state, number)
         rewards = episodes.reward.mean(), episodes.reward[:, -1].mean(), shaped.mean()
         info = Phase1Info(*rewards, epsilon, *stats, *reused)
         return state._replace(learner=learner), info
 
+    def one_round(state, hyper, number):
+        act_key, learn_key = jax.random.split(jax.random.fold_in(state.key, number))
+        *how, epsilon = exploring(state, hyper, number)
+        episodes, pool, reused = _collect(act_key, stage, config, hyper, state.pool, how, over)
+        state = state._replace(pool=pool)
+        return learn(learn_key, state, hyper, number, episodes, epsilon, reused)
+
     def run(state, hyper, numbers):
         return jax.lax.scan(lambda s, n: one_round(s, hyper, n), state, numbers)
 
-    return Phase1(task, config, bdq, init, one_round, run)
+    return Phase1(task, config, bdq, init, begin, exploring, learn, one_round, run)
 
 
 def archive_size(phase1: Phase1, rounds: int) -> int:
@@ -148,34 +163,41 @@ def shape_reward(reward: Array, hyper: Phase1Hyper) -> Array:
     return jnp.where(jnp.isfinite(reward) & (reward >= hyper.threshold), shaped, 0.0)
 
 
-def _collect(key, task, phase, hyper, state: Phase1State, epsilon, over):
-    """`parallel` exploring trajectories from fresh targets and fresh starts; leading axis
-    `parallel`. Also the pool after them, and what Info says of reuse.
-    """
+def _begun(key, task, hyper) -> BegunTrajectories:
+    """One trajectory, from a fresh start to a fresh target."""
+    target_key, start_key, run_key = jax.random.split(key, 3)
+    target = draw_target(target_key, task, hyper.inside)
+    start = gaussian(task.space, task.space.sample(start_key))
+    return BegunTrajectories(run_key, start, task.init_policy(run_key), target)
 
-    bdq, config = phase
 
-    def act(k, obs):
-        return bdq.act(k, state.learner.online, obs, epsilon, hyper.independent)
+def _exploring(bdq, config, task, hyper, state: Phase1State, number):
+    """`act(key, obs)`, epsilon-greedy, the plan of a round's trajectories, and epsilon."""
+    epsilon = _epsilon(config, hyper, number)
 
-    keys = jax.random.split(key, config.parallel)
-
-    def begin(key):
-        target_key, start_key, run_key = jax.random.split(key, 3)
-        target = draw_target(target_key, task, hyper.inside)
-        start = gaussian(task.space, task.space.sample(start_key))
-        return BegunTrajectories(run_key, start, task.init_policy(run_key), target)
+    def act(key, obs):
+        return bdq.act(key, state.learner.online, obs, epsilon, hyper.independent)
 
     guide = Guide(config.guided, task.space) if config.guided else None
     plan = StepPlan(config.horizon, hyper.delta, hyper.shrink, hyper.obs_noise, guide)
-    if state.pool is None:
+    return act, plan, epsilon
+
+
+def _collect(key, task, config, hyper, pool, how, over):
+    """`parallel` exploring trajectories; leading axis `parallel`. Also the pool after them, and
+    what Info says of reuse.
+    """
+    act, plan = how
+    keys = jax.random.split(key, config.parallel)
+    if pool is None:
 
         def one(key):
-            begun = begin(key)
+            begun = _begun(key, task, hyper)
             return run_episode(begun.keys, task, act, *begun[1:], plan)
 
         return over(one)(keys), None, ()
-    found = run_reusing(jax.vmap(begin)(keys), task, act, state.pool, config.reuse, plan)
+    begun = jax.vmap(lambda k: _begun(k, task, hyper))(keys)
+    found = run_reusing(begun, task, act, pool, config.reuse, plan)
     return found.episodes, found.pool, (found.budgets.mean(), found.reused.mean())
 
 

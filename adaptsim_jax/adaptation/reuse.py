@@ -22,7 +22,7 @@ from adaptsim_jax import space as spaces
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, PolicyTrial, StepPlan, look
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners import replay as ring
-from adaptsim_jax.space import Gaussian
+from adaptsim_jax.space import Gaussian, Space
 from adaptsim_jax.tasks.base import Task
 
 
@@ -229,19 +229,38 @@ def run_reusing(
 
     def one(carry, number):
         dists, pool = carry
-        parts = jax.vmap(lambda k: jax.random.split(jax.random.fold_in(k, number), 4))(begun.keys)
+        parts = visit_keys(begun, number)
         loan = lend(pool, config, dists.mean, begun.policies)
         trained = train_loans(parts[:, 0], task.train_many, dists, loan, config.together)
         pool = settle(pool, config, dists.mean, trained, loan)
         attempts = (dists, trained, begun.targets, references)
         now = jax.vmap(look_at)(parts[:, 1], parts[:, 2], *attempts)
-        action, size = jax.vmap(act)(parts[:, 3], now.obs), plan.size(number)
-        if plan.guide is not None:
-            lead = jax.vmap(plan.guide, (0, 0, 0, 0, 0, None))
-            action = lead(begun.keys, parts[:, 3], action, dists.mean, begun.targets, size)
-        after = jax.vmap(lambda d, a: spaces.step(task.space, d, a, size))(dists, action)
+        action, after = move(begun, task.space, act, plan, dists, now.obs, number)
         return (after, pool), (now, action, loan.budget, loan.place >= 0)
 
     (_, pool), found = jax.lax.scan(one, (begun.dists, pool), jnp.arange(plan.steps + 1))
     visits, actions, budgets, reused = jax.tree.map(lambda x: jnp.swapaxes(x, 0, 1), found)
     return Reusing(AdaptationEpisode(*visits, action=actions[:, :-1]), pool, budgets, reused)
+
+
+def visit_keys(begun: BegunTrajectories, number: Array | int) -> Array:
+    """`[P, 4]` for visit `number`: to train, to run, of the observation's noise, to act."""
+    return jax.vmap(lambda k: jax.random.split(jax.random.fold_in(k, number), 4))(begun.keys)
+
+
+def move(
+    begun: BegunTrajectories,
+    space: Space,
+    act: Any,
+    plan: StepPlan,
+    dists: Gaussian,
+    obs: Array,
+    number: Array | int,
+) -> tuple[Array, Gaussian]:
+    """The actions `[P, D]` after visit `number` of `obs [P, D + obs_dim]`, and E after them."""
+    keys, size = visit_keys(begun, number)[:, 3], plan.size(number)
+    action = jax.vmap(act)(keys, obs)
+    if plan.guide is not None:
+        lead = jax.vmap(plan.guide, (0, 0, 0, 0, 0, None))
+        action = lead(begun.keys, keys, action, dists.mean, begun.targets, size)
+    return action, jax.vmap(lambda d, a: spaces.step(space, d, a, size))(dists, action)
