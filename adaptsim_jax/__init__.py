@@ -10,6 +10,9 @@ from adaptsim_jax.core.lazy import lazily
 
 if TYPE_CHECKING:
     from adaptsim_jax.adaptation.asktell import Session as Session
+    from adaptsim_jax.adaptation.host import HostSession as HostSession
+    from adaptsim_jax.adaptation.host import HostSimulation as HostSimulation
+    from adaptsim_jax.adaptation.host import train_host as train_host
     from adaptsim_jax.adaptation.phase1 import make_phase1 as make_phase1
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
@@ -47,6 +50,8 @@ __all__ = [
     "Effect",
     "EngineKind",
     "Gaussian",
+    "HostSession",
+    "HostSimulation",
     "Parameter",
     "Phase1Config",
     "Phase1Hyper",
@@ -72,6 +77,7 @@ __all__ = [
     "make_phase1",
     "make_task",
     "replay_files",
+    "train_host",
 ]
 
 __getattr__ = lazily(
@@ -86,6 +92,8 @@ __getattr__ = lazily(
         "Effect": "effects.base",
         "EngineKind": "tasks.engine",
         "Gaussian": "space",
+        "HostSession": "adaptation.host",
+        "HostSimulation": "adaptation.host",
         "Parameter": "space",
         "Phase1Config": "adaptation.phase1_config",
         "Phase1Hyper": "adaptation.phase1_config",
@@ -107,6 +115,7 @@ __getattr__ = lazily(
         "make_phase1": "adaptation.phase1",
         "make_task": "tasks.registry",
         "replay_files": "attribution.replay",
+        "train_host": "adaptation.host",
     },
 )
 

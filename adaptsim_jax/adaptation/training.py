@@ -198,7 +198,7 @@ def train_run(config: TrainConfig, run: RunFolder, progress: Callable[..., None]
     advance = jax.jit(phase1.run, donate_argnums=0)
     while done < total:
         state, info = advance(state, hyper, jnp.arange(done, done + size))
-        rows = _rows(phase1, info, done)
+        rows = metric_rows(phase1, info, done)
         run.append_metrics(rows)
         done += size
         run.save(state, done)
@@ -249,7 +249,7 @@ def _phase1_of(
     return make_phase1(task, config.phase1)
 
 
-def _rows(phase1: Phase1, info: Any, done: int) -> list[Table]:
+def metric_rows(phase1: Phase1, info: Any, done: int) -> list[Table]:
     """One row a round for `metrics.jsonl`; adaptation steps are counted as transitions stored."""
     columns = {
         name: jax.device_get(values)

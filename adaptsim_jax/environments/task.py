@@ -50,10 +50,7 @@ from adaptsim_jax.environments.setting import (
 from adaptsim_jax.environments.targets import DECLARED, Target, native_physics
 from adaptsim_jax.environments.trainer import Worlds
 from adaptsim_jax.space import Space
-from adaptsim_jax.tasks.base import Preparation, Task
-
-MIN_SPREAD = 0.02
-"""Of a target's best return: policies that differ by less are separated by luck alone."""
+from adaptsim_jax.tasks.base import Preparation, Task, scaled_reward
 
 
 def environment_task(
@@ -136,7 +133,7 @@ def ready(setting: Setting, prepared: Prepared) -> Task:
         observe=lambda trajectory: prepared.shown(trajectory.features),
         score=lambda trajectory: trajectory.score - trajectory.luck,
         reference=_reference(setting, rollout, policy_of),
-        reward=_scaled_reward,
+        reward=lambda trajectory, bounds: scaled_reward(trajectory.score, bounds),
         world=world,
         act=None if config.policy == "planned" else act,
         read=lambda obs, action, reward: measured(setting, obs, action, reward, acting),
@@ -214,11 +211,6 @@ def reference_means(setting: Setting) -> Array:
     """Means of E `[references, D]` spread over Omega, whose policies scale a target's reward."""
     sobol = qmc.Sobol(setting.space.dim, rng=1)
     return jnp.asarray(sobol.random(setting.config.references), jnp.float32)
-
-
-def _scaled_reward(trajectory: Rollout, bounds: Array) -> Array:
-    spread = jnp.maximum(bounds[0] - bounds[1], MIN_SPREAD * jnp.abs(bounds[0]) + 1e-6)
-    return jnp.minimum(1.0 - (bounds[0] - trajectory.score) / spread, 1.0)
 
 
 def _acts(setting: Setting, prepared: Prepared, policy: Any, obs: Array) -> Array:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from adaptsim_jax.core.config import Table
@@ -105,6 +106,18 @@ class Task:
     act: Callable | None = None
     # (obs [T, O], action [T, A], reward [T]) -> trajectory: of a measured episode of theirs
     read: Callable | None = None
+
+
+MIN_SPREAD = 0.02
+"""Of a target's best return: policies that differ by less are separated by luck alone."""
+
+
+def scaled_reward(score: Array, bounds: Array) -> Array:
+    """The reward `[]`, at most 1, of a return `[]` in a target, `bounds [2]` being the best and the
+    mean return there of policies from all of Omega: 1 and 0.
+    """
+    spread = jnp.maximum(bounds[0] - bounds[1], MIN_SPREAD * jnp.abs(bounds[0]) + 1e-6)
+    return jnp.minimum(1.0 - (bounds[0] - score) / spread, 1.0)
 
 
 @cache
