@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.adaptation.phase1 import make_phase1 as make_phase1
     from adaptsim_jax.adaptation.phase1_config import Phase1Config as Phase1Config
     from adaptsim_jax.adaptation.phase1_config import Phase1Hyper as Phase1Hyper
+    from adaptsim_jax.adaptation.sweep_run import sweep as sweep
     from adaptsim_jax.adaptation.training import TrainConfig as TrainConfig
     from adaptsim_jax.adaptation.training import Trained as Trained
     from adaptsim_jax.adaptation.training import adapt_run as adapt_run
@@ -77,6 +78,7 @@ __all__ = [
     "make_phase1",
     "make_task",
     "replay_files",
+    "sweep",
     "train_host",
 ]
 
@@ -115,6 +117,7 @@ __getattr__ = lazily(
         "make_phase1": "adaptation.phase1",
         "make_task": "tasks.registry",
         "replay_files": "attribution.replay",
+        "sweep": "adaptation.sweep_run",
         "train_host": "adaptation.host",
     },
 )

@@ -44,7 +44,7 @@ HOST_CONFIG = TrainConfig(
         parallel=20,
         capacity=4000,
         archive=4000,
-        reuse=ReuseConfig(threshold=0.16),
+        reuse=ReuseConfig(threshold=0.25),
     ),
 )
 """What `train_host` starts from: fewer trajectories than where they are compiled."""
@@ -404,7 +404,7 @@ def _folder(simulation: HostSimulation, path: Path, config: TrainConfig) -> RunF
     if not config.phase1.reuse.threshold > 0:
         raise BadInput(
             "phase1.reuse.threshold = 0: each visit would train a policy; give a distance in "
-            "shares of Omega's ranges, such as 0.16"
+            "shares of Omega's ranges, such as 0.25"
         )
     if simulation.references > config.phase1.reuse.capacity:
         raise BadInput(

@@ -10,6 +10,7 @@ import numpy as np
 from jax import Array
 
 from adaptsim_jax.adaptation.episode import AdaptationEpisode, StepPlan, run_episode
+from adaptsim_jax.adaptation.memory import seeds_at_once
 from adaptsim_jax.adaptation.phase1 import (
     DistributionArchive,
     Phase1,
@@ -168,22 +169,25 @@ def train_many(
     hypers: Phase1Hyper,
     seeds: np.ndarray,
     *,
+    at_once: int | None = None,
     progress: Callable = silent,
     program: Callable | None = None,
 ) -> TrainedMany:
-    """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`.
+    """Phase 1 for each of `seeds [S]` with the matching leaf of `hypers [S]`, one compiled program
+    for all. Each is the run alone, to rounding.
 
-    One trace and one compiled program, called `S` times: on a CPU as fast as any number at once
-    (`benchmarks/phase1.py --seeds`). program: `train_one` of this Phase 1 as it was compiled
-    before, `(seeds [1], hypers [1])`.
+    at_once: Runs side by side, by default what memory allows (`seeds_at_once`). program:
+    `train_one` of this Phase 1 as it was compiled before.
     """
     train = program or jax.jit(partial(train_one, phase1))
-    parts = []
-    for i in range(len(seeds)):
-        some = jax.tree.map(lambda x, i=i: x[i : i + 1], hypers)
-        part = TrainedMany(some, *train(jnp.asarray(seeds[i : i + 1]), some))
-        progress(i + 1, len(seeds), f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
-        parts.append(part)
+    total, parts = len(seeds), []
+    width = at_once or seeds_at_once(phase1.task, phase1.config, total)
+    for first in range(0, total, width):
+        rows = np.minimum(np.arange(first, first + width), total - 1)  # the last is filled up
+        done, some = min(first + width, total), jax.tree.map(lambda x, r=rows: x[r], hypers)
+        part = TrainedMany(some, *train(jnp.asarray(seeds[rows]), some))
+        progress(done, total, f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
+        parts.append(jax.tree.map(lambda x, n=done - first: x[:n], part))
     return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
 
 
@@ -220,10 +224,12 @@ def adapt_many(
     targets: Array | np.ndarray,
     *,
     iterations: int = 10,
+    at_once: int | None = None,
 ) -> AdaptationEpisode:
     """Phase 2 of every run in each of `targets [T, D]` (physical) from its `starts [S, N, ...]`:
-    `[S, T, N, I + 1, ...]`.
+    `[S, T, N, I + 1, ...]`. at_once: As `train_many` has it.
     """
+    width = at_once or seeds_at_once(phase1.task, phase1.config, len(trained.weights))
 
     @jax.jit
     def run(targets, trained, starts):
@@ -235,6 +241,8 @@ def adapt_many(
 
             return jax.vmap(one_target)(targets)
 
-        return jax.lax.map(lambda a: one_run(*a), (trained.weights, trained.hyper, starts))
+        every = trained.weights, trained.hyper, starts
+        side_by_side = width if width > 1 else None
+        return jax.lax.map(lambda a: one_run(*a), every, batch_size=side_by_side)
 
     return run(jnp.asarray(targets, jnp.float32), trained, starts)

@@ -6,7 +6,6 @@ import math
 import os
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
@@ -15,14 +14,13 @@ import numpy as np
 from jax.sharding import Mesh, NamedSharding
 from jax.sharding import PartitionSpec as P
 
-from adaptsim_jax.adaptation.phase1 import make_phase1
-from adaptsim_jax.adaptation.phase1_config import Phase1Config, Phase1Hyper
+from adaptsim_jax.adaptation.memory import SHARE, free_memory, member_bytes
+from adaptsim_jax.adaptation.phase1_config import Phase1Hyper
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.parallel import largest_divisor
-from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
 
 # ---------------------------------------------------------------- devices
@@ -148,8 +146,6 @@ def join(coordinator: str | None, processes: int | None, index: int | None) -> N
     jax.distributed.initialize(coordinator, processes, index)
 
 
-# of the free memory that a batch may take: the estimate leaves out what the compiler keeps besides
-SHARE = 0.5
 PER_CORE = (
     8  # members at once on a core: more gain nothing there, and checkpoints and progress are rarer
 )
@@ -243,60 +239,6 @@ def _width(count: int, limit: int, along: int) -> int:
 def padded(count: int, along: int) -> int:
     """`count` members, rounded up to a multiple of the devices along them."""
     return math.ceil(count / along) * along
-
-
-def member_bytes(task: Task, config: Phase1Config) -> int:
-    """Bytes that a member takes while it is trained, by the shapes of what it holds. That is
-    its state twice (before and after a round), a round's trajectories, and the batches that a round
-    learns from.
-    """
-    phase1 = make_phase1(task, config)
-    state = jax.eval_shape(phase1.init, jax.random.key(0))
-    item = jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), state.replay)
-    policy = jax.eval_shape(task.init_policy, jax.random.key(0))
-    visits = config.parallel * (config.horizon + 1)
-    return (
-        2 * _bytes(state)
-        + config.updates * config.batch * _bytes(item)
-        + visits * (_bytes(policy) + _bytes(item))
-    )
-
-
-def _bytes(tree: Any) -> int:
-    return sum(int(x.size) * jnp.dtype(_plain(x.dtype)).itemsize for x in jax.tree.leaves(tree))
-
-
-def _plain(dtype: Any) -> Any:
-    if jnp.issubdtype(dtype, jax.dtypes.prng_key):
-        return jnp.uint64
-    return dtype
-
-
-def free_memory() -> int:
-    """Bytes that a batch could have: of the accelerators that this program drives, else of the
-    machine.
-    """
-    if jax.default_backend() != "cpu":
-        stats = [d.memory_stats() for d in jax.local_devices()]
-    else:
-        stats = []
-    limits = [
-        s["bytes_limit"] - s.get("bytes_in_use", 0) for s in stats if s and "bytes_limit" in s
-    ]
-    if limits:
-        return sum(limits)
-    found = Path("/proc/meminfo")
-    for line in found.read_text().splitlines() if found.exists() else ():
-        if line.startswith("MemAvailable:"):
-            return min(int(line.split()[1]) * 1024, _limit_of_container())
-    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") // 2
-
-
-def _limit_of_container() -> int:
-    try:
-        return int(Path("/sys/fs/cgroup/memory.max").read_text())
-    except (OSError, ValueError):
-        return 2**62
 
 
 def to_table(plan: SweepPlan) -> Table:

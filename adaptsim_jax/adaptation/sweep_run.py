@@ -19,14 +19,15 @@ import numpy as np
 
 from adaptsim_jax.adaptation import sweep_plan as devices
 from adaptsim_jax.adaptation.sweep_batch import Programs, halved, make_programs, run_batch
-from adaptsim_jax.adaptation.sweep_folder import SweepFolder
+from adaptsim_jax.adaptation.sweep_folder import HEAD, SweepFolder, locked, write_results
 from adaptsim_jax.adaptation.sweep_plan import MemberBatch
+from adaptsim_jax.adaptation.sweep_read import read_sweep
 from adaptsim_jax.adaptation.sweep_spec import Member, Sweep
 from adaptsim_jax.adaptation.training import FOLDER, keep
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
-from adaptsim_jax.core.files import without_nan
+from adaptsim_jax.core.files import output_folder, without_nan
 from adaptsim_jax.core.parallel import largest_divisor
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.core.store import CHECKPOINT, RunFolder
@@ -53,6 +54,38 @@ def run_sweep(
             folder.finish(batch, rows)
         done += _rounds(sweep, folder, batch)
         progress(done, total, "")
+
+
+def sweep(
+    spec: str | Path,
+    out: str | Path,
+    *,
+    at_once: int | None = None,
+    progress: Callable = silent,
+    save_after: float = 30.0,
+) -> Table:
+    """A sweep in this process, as `adaptsim sweep SPEC.toml --out DIR --resume` runs it.
+
+    Args:
+        spec: The SPEC.toml: a task, seeds, targets, values by key.
+        out: Its folder. A sweep that was stopped goes on, a finished one is read.
+        at_once: Members side by side, by default what half of the free memory holds.
+        progress: `(rounds done, of, note)`. save_after: s between checkpoints.
+
+    Returns:
+        The table of `results.json`, which is written with `results.csv`.
+
+    Raises:
+        BadInput: Names the line of `spec` at fault, or what differs from the sweep in `out`.
+    """
+    asked, path = read_sweep(spec), output_folder(Path(out))
+    with locked(path):
+        if not (path / HEAD).exists():
+            plan = devices.make_plan(asked, devices=len(jax.devices()), at_once=at_once)
+            SweepFolder.create(path, asked, plan)
+        folder = SweepFolder.reopen(path, asked)
+        run_sweep(asked, folder, progress=progress, save_after=save_after)
+        return write_results(folder)
 
 
 def members_of(sweep: Sweep, folder: SweepFolder, batch: MemberBatch) -> list[Member]:

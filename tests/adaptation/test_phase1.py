@@ -19,7 +19,17 @@ from adaptsim_jax.adaptation.phase1 import (
     shape_reward,
 )
 from adaptsim_jax.adaptation.phase1_config import POSITIVE, SHARES
-from adaptsim_jax.adaptation.phase2 import adapt, best_of, best_visit, draw_starts, smoothed
+from adaptsim_jax.adaptation.phase2 import (
+    adapt,
+    adapt_many,
+    best_of,
+    best_visit,
+    draw_starts,
+    smoothed,
+    stack,
+    starts_of,
+    train_many,
+)
 from adaptsim_jax.adaptation.training import TrainConfig, preset, traced
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.learners.bdq import BDQHyper
@@ -251,3 +261,20 @@ def test_every_rate_is_checked_but_the_threshold_of_the_reward():
 def test_a_seed_that_would_stand_for_another_is_refused(seed):
     with pytest.raises(BadInput, match=f"seed = {seed}: give a whole number"):
         TrainConfig(seed=seed)
+
+
+@pytest.mark.slow
+def test_seeds_side_by_side_are_the_runs_alone(small):
+    phase1, seeds = small[0], np.arange(3, dtype=np.uint32)
+    hypers = stack([PLAIN] * 3)
+    alone, notes = train_many(phase1, hypers, seeds, at_once=1), []
+    both = train_many(phase1, hypers, seeds, at_once=2, progress=lambda *x: notes.append(x[0]))
+    assert notes == [2, 3]  # the last of two is filled up, and left out again
+    # products of batches are summed in another order, and six rounds of Adam amplify that
+    chex.assert_trees_all_close(both, alone, rtol=2e-3, atol=2e-4)
+    starts, targets = starts_of(phase1, alone, seeds, 2), np.array([[1.2, 2.9]])
+    found = [
+        adapt_many(phase1, alone, starts, targets, iterations=2, at_once=n).mean for n in (1, 2)
+    ]
+    assert found[0].shape == (3, 1, 2, 3, 2)
+    np.testing.assert_allclose(found[1], found[0], atol=1e-6)

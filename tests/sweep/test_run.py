@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from adaptsim_jax import sweep
 from adaptsim_jax.adaptation.sweep_batch import halved
 from adaptsim_jax.adaptation.sweep_folder import locked
 from adaptsim_jax.cli import main
@@ -146,3 +147,20 @@ def test_killed_at_random_moments_it_ends_with_the_same_bits(straight, tmp_path)
     assert kills == wanted and midway > 0  # one of them between checkpoints of a batch
     run(words)
     assert table(out) == table(straight / "out")
+
+
+@pytest.mark.slow
+def test_the_public_function_sweeps_and_reads_what_is_done(tmp_path):
+    spec = write(tmp_path, SPEC.split("[grid]")[0].replace('targets = ["wd", "ood-1"]', ""))
+    found = sweep(spec, tmp_path / "out", at_once=2)
+    assert found["done"] == 2 and (tmp_path / "out" / "results.csv").exists()
+
+    def never(*_):
+        raise AssertionError("nothing is left to be run")
+
+    assert sweep(spec, tmp_path / "out", progress=never)["rows"] == found["rows"]
+    with pytest.raises(BadInput, match="started otherwise"):
+        sweep(
+            write(tmp_path / "b", spec.read_text() + "\n[grid]\nhyper.delta = [0.2]\n"),
+            tmp_path / "out",
+        )
