@@ -59,3 +59,15 @@ def test_logs_of_robots(tmp_path, folder):
     _, log = read_source_and_log(tmp_path / folder)
     assert len(log.trials) == 4 and log.input_kind == "command" and abs(log.trials[0].q).max() < 2.0
     assert ("gripper" in log.held) == (folder == "so101")
+
+
+def test_a_simulator_and_a_trainer_of_anyone():
+    """Where Gymnasium and torch are installed: what the example's functions give."""
+    for name in ("gymnasium", "mujoco", "torch"):
+        pytest.importorskip(name)
+    from runpy import run_path
+
+    made = run_path(str(EXAMPLES / "gymnasium_torch.py"))
+    policy = made["train"]({"pole": (5.0, 5.0), "damping": (1.0, 1.0), "gear": (90.0, 90.0)})
+    score, obs = made["returns"](policy, [[5.0, 1.0, 90.0], [8.0, 3.0, 50.0]], 1)
+    assert score.shape == (2,) and obs.shape == (2, 24) and -2.0 < score[0] < 0.0
