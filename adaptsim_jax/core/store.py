@@ -387,17 +387,17 @@ class RunFolder:
         """`(tree, step)` of the checkpoint, of the one before where the last is torn; BadInput also
         where it was made under another config.
         """
-        return self._whole(like)[1]
+        return self._last_whole(like)[1]
 
     def _last_whole(self, like: Any) -> tuple[Path, tuple[Any, int]]:
         """The folder of the last whole checkpoint, and its `(tree, step)`."""
         before = self.checkpoint / BEFORE
         try:
-            return self.checkpoint, self._loaded(self.checkpoint, like)
+            return self.checkpoint, self._load(self.checkpoint, like)
         except Torn as torn:
             if not (before / MANIFEST).exists():
                 raise
-            found = self._loaded(before, like)
+            found = self._load(before, like)
             why = str(torn).removesuffix(f"; {_RENEW}")
             print(f"{why}; the one before it is taken, of step {found[1]}", file=sys.stderr)
             return before, found
@@ -419,7 +419,7 @@ class RunFolder:
         if not self.has_checkpoint():
             self._cut_metrics(0)
             return like, 0
-        folder, (tree, step) = self._whole(like)
+        folder, (tree, step) = self._last_whole(like)
         if folder != self.checkpoint:
             _copy_checkpoint(folder, self.checkpoint)
         self._cut_metrics(int(read_manifest(folder)["extra"].get("metrics_bytes", 0)))
