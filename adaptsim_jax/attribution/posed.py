@@ -95,9 +95,7 @@ def posed(machine: Machine, effects: Sequence[Effect], horizon: float) -> TreePr
     """The problem of a machine in stretches of `horizon` s."""
     problem = machine.problem(effects, horizon, look_back=STRETCH.look_back)
     names = machine.tree.joint_names
-    return replace(
-        problem, unlike=tuple(names.index(j) for j in machine.log.mismatched_leaders if j in names)
-    )
+    return replace(problem, unlike=tuple(names.index(j) for j in machine.log.unlike if j in names))
 
 
 def factor_of(meta: Any) -> float:

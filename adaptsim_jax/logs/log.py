@@ -166,7 +166,7 @@ class Log:
     - `held`: Joints that stand still in all trials, or that `[hold]` names, and where they were
       (None: nothing was logged). They are not among `joint_names`.
     - `input_columns [m]`: The column that each actuator's command was read from.
-    - `mismatched_leaders`: Joints whose followers do not follow as the model says.
+    - `unlike`: Joints whose followers do not follow as the model says.
     """
 
     path: str
@@ -179,7 +179,7 @@ class Log:
     notes: tuple[str, ...] = ()
     held: dict[str, float | None] = field(default_factory=dict)
     input_columns: tuple[str, ...] = ()
-    mismatched_leaders: tuple[str, ...] = ()
+    unlike: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
@@ -366,5 +366,5 @@ def restrict_log(log: Log, mechanism: Mechanism) -> Log:
         input_names=names,
         driven=driven,
         notes=(*log.notes, *notes),
-        mismatched_leaders=tuple(mismatched_leaders),
+        unlike=tuple(mismatched_leaders),
     )

@@ -43,7 +43,7 @@ def test_followers_that_do_not_follow_are_known_by_their_leader(tmp_path):
         mujoco.mj_step(model, data, 5)
     names = "time,q_turn,q_left,q_right,ctrl_turn,ctrl_grip"
     np.savetxt(tmp_path / "run.csv", rows, delimiter=",", header=names, comments="", fmt="%.9g")
-    assert load(tmp_path, None).log.mismatched_leaders == ("left",)
+    assert load(tmp_path, None).log.unlike == ("left",)
 
 
 def test_nothing_is_sought_at_a_joint_that_is_unlike_the_model_but_what_all_share(tmp_path):
