@@ -109,6 +109,30 @@ def test_a_page_by_robot_runs(name, tmp_path):
     assert (tmp_path / "next" / "motion.csv").exists()
 
 
+READERS = ("robot", "environment", "research")
+
+
+def commands_of(reader: str) -> list[str]:
+    """The commands that the README shows to a reader."""
+    parts = (ROOT / "README.md").read_text().split("\n## You ")
+    part = next(part for part in parts if reader in part.partition("\n")[0])
+    return re.findall(r"^    (adaptsim .*)$", part.partition("\n## ")[0], re.M)
+
+
+@pytest.mark.parametrize("reader", READERS)
+def test_each_reader_is_shown_two_commands(reader):
+    assert len(commands_of(reader)) == 2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reader", READERS)
+def test_commands_of_the_readme_run(reader, tmp_path):
+    """Minutes each: as they stand, in a folder with what a checkout has."""
+    for name in ("adaptsim_jax", "examples"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    RUN["bash"]("\n".join(commands_of(reader)), tmp_path)
+
+
 @pytest.mark.slow
 def test_what_an_agent_is_told_runs(tmp_path):
     """The machine and logs are those of the tutorial."""
