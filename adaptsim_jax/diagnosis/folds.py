@@ -20,6 +20,14 @@ def folds_of(trial: np.ndarray, min_stretches: int = 1) -> np.ndarray:
     return pieces(trial, FOLD.pieces, min_stretches)
 
 
+def apart_of(trial: np.ndarray) -> np.ndarray:
+    """Part `[W]` of the log of each window: trials, or of fewer than three about a third of it."""
+    names = np.unique(trial)
+    if len(names) >= FOLD.apart:
+        return np.searchsorted(names, trial)
+    return pieces(trial, FOLD.apart)
+
+
 def names_of(trial: np.ndarray, fold: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
     """What folds are called, by the names of the trials."""
     first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]

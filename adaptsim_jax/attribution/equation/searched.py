@@ -327,7 +327,18 @@ class Searched:
 
 
 def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list[JointCandidate]:
-    """Candidates by what they gain held out at first order, the best shape of each."""
+    """Candidates that are worth their numbers apart, by what they gain, the best shape of each."""
+    return [c for worth, c in worth_apart(state, now, some) if worth > 0.0]
+
+
+def worth_apart(
+    state: Searched, now: Solved, some: Sequence[JointCandidate]
+) -> list[tuple[float, JointCandidate]]:
+    """What candidates take off parts of the log (trials, or thirds of one) that were left out, at
+    first order, less the price of their numbers; the best shape of each, the most first.
+
+    The shape by which a part is predicted is chosen without it, too.
+    """
     if not some:
         return []
     rows = state.rows
@@ -347,39 +358,50 @@ def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list
     a, y = weigh(now.columns[..., free]), left * even
     prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
     inverse = np.linalg.pinv(a.T @ a + prior, rcond=1e-12, hermitian=True)
-    fold = np.repeat(rows.fold, y.shape[1])
-    order = np.argsort(fold, kind="stable")
-    begin, flat = np.unique(fold[order], return_index=True)[1], y.ravel()[order]
+    part = np.repeat(rows.part, y.shape[1])
+    order = np.argsort(part, kind="stable")
+    begin, flat = np.unique(part[order], return_index=True)[1], y.ravel()[order]
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))
     # each column by itself is read next
     freed = np.asfortranarray((wide - a @ (inverse @ (a.T @ wide)))[order])
-    best: dict[tuple, tuple[float, JointCandidate]] = {}
+    shapes: dict[tuple, list[tuple[JointCandidate, np.ndarray, np.ndarray]]] = {}
     at = 0
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        share = _gain(own, flat, begin, c) / (0.5 * total.mean() * len(state.own(c)))
-        gain = share * state.carry(c) - state.limits.gain * len(c.entries)
-        if c.key not in best or gain > best[c.key][0]:
-            best[c.key] = gain, c
-    return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
+        shapes.setdefault(c.key, []).append((c, *_gains(own, flat, begin, c)))
+    out = []
+    for one in shapes.values():
+        inside, outside = (np.array([z[k] for z in one]) for k in (1, 2))  # [shapes, parts]
+        c = one[int(outside.sum(1).argmax())][0]
+        gain = outside[inside.argmax(0), range(len(begin))].sum()
+        share = gain / (0.5 * total.mean() * len(state.own(c)))
+        out.append((share * state.carry(c) - state.limits.gain * len(c.entries), c))
+    return sorted(out, key=lambda z: -z[0])
 
 
-def _gain(columns: np.ndarray, y: np.ndarray, begin: np.ndarray, c: JointCandidate) -> float:
-    """Half the squares that amplitudes of the other folds take off each. columns: [N, E], rows in
-    the order of their folds; y: [N]; begin: the first row of each fold.
+def _gains(
+    columns: np.ndarray, y: np.ndarray, begin: np.ndarray, c: JointCandidate
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half the squares that amplitudes without each part take off the others [U], and off it [U].
+    columns: [N, E], rows in the order of their parts; y: [N]; begin: the first row of each part.
     """
     hess = np.add.reduceat(columns[:, :, None] * columns[:, None], begin)
     slope = np.add.reduceat(columns * y[:, None], begin)
     low = np.array([e.low - e.start for e in c.entries])
     high = np.array([e.high - e.start for e in c.entries])
     prior = np.diag([e.prior**-2.0 for e in c.entries])
-    others = hess.sum(0) - hess + prior
+    rest, pull = hess.sum(0) - hess, slope.sum(0) - slope
+    others = rest + prior
     others += 1e-9 * others * np.eye(len(prior))
     inverse = np.linalg.pinv(others, rcond=1e-10, hermitian=True)
-    step = np.clip(((slope.sum(0) - slope)[:, None] @ inverse)[:, 0], low, high)
-    return float(np.sum(step * slope) - 0.5 * np.einsum("fi,fij,fj", step, hess, step))
+    step = np.clip((pull[:, None] @ inverse)[:, 0], low, high)
+
+    def taken(slope, hess):
+        return np.sum(step * slope, 1) - 0.5 * np.einsum("fi,fij,fj->f", step, hess, step)
+
+    return taken(pull, rest), taken(slope, hess)
 
 
 SHAPE_ROUNDS = 8  # rounds of steps of shapes, at most
