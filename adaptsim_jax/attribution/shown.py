@@ -18,7 +18,7 @@ from scipy import stats
 
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent, candidates
 from adaptsim_jax.attribution.criteria import BALANCE, TEXT
-from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.balance import Balance, rms
 from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.equation.solve import rows_of
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
@@ -98,7 +98,7 @@ def shown(
 
 def _size(z: np.ndarray) -> np.ndarray:
     """Root mean square over windows."""
-    return np.sqrt(np.mean(np.square(z), 0)) + 1e-300
+    return rms(z) + 1e-300
 
 
 def _asked(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import TEXT, WINDOW
-from adaptsim_jax.attribution.equation.balance import Balance, residual
+from adaptsim_jax.attribution.equation.balance import Balance, residual, rms
 from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
@@ -42,9 +42,7 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     for b in balances:
         rows = float(np.median(np.diff(b.mean.indptr)))  # of a window
         noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * rows)
-        out[list(b.group.joints)] = np.maximum(
-            noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
-        )
+        out[list(b.group.joints)] = np.maximum(noise, 1e-3 * rms(needed(problem, b)))
     return out
 
 
@@ -142,7 +140,7 @@ def _share(found: TorqueSearch, trial: int, which: int, base: np.ndarray) -> flo
     shares = []
     for k, left in held_missing(found)[which].items():
         b = found.searches[k].balance
-        own = np.sqrt(np.mean(np.square(left[b.trial == trial]), 0))
+        own = rms(left[b.trial == trial])
         shares += list(own / base[list(b.group.joints)])
     return float(np.mean(shares))
 

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.equation.balance_objective import (
 )
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
-from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import false_discovery
@@ -163,7 +163,7 @@ def test_a_column_at_its_bound_does_not_hide_what_goes_the_other_way():
     gain = one("torque_gain", "gain", low=-0.9)
     state = SimpleNamespace(
         rows=rows,
-        null=Vector((), np.zeros(0)),
+        began=lambda entries: np.array([e.start for e in entries]),
         table=SimpleNamespace(stack=lambda entries, shape: -0.5 * x[..., None]),
         own=lambda c: [0],
         carry=lambda c: 1.0,
@@ -193,7 +193,7 @@ def test_a_cogging_must_predict_parts_of_which_its_period_was_not_chosen(trials,
     rows = rows_of(missing, missing, trial, time, np.full(1, 1e-3), np.ones_like(missing))
     state = SimpleNamespace(
         rows=rows,
-        null=Vector((), np.zeros(0)),
+        began=lambda entries: np.array([e.start for e in entries]),
         table=SimpleNamespace(
             stack=lambda entries, shape: np.sin(shape["order"] * angle)[..., None]
         ),

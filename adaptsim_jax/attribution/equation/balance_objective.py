@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
+from adaptsim_jax.attribution.equation.balance import rms
 from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked, worth_apart
 from adaptsim_jax.attribution.equation.solve import Solved, compared
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
@@ -108,8 +109,7 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
     """
     at = _numbers(whole, c)
     force = whole.columns[..., at] @ whole.step[at]
-    size = np.sqrt(np.mean(np.square(force), 0))
-    return float(np.max(size / np.maximum(state.torque, 1e-300))), state.limits.worth
+    return float(np.max(rms(force) / np.maximum(state.torque, 1e-300))), state.limits.worth
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
@@ -145,7 +145,7 @@ def steadiness(whole: Solved, c: JointCandidate) -> float:
     twice the chance that one is large.
     """
     at = _numbers(whole, c)
-    return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
+    return float(rms(whole.step[at] / np.maximum(whole.error[at], 1e-300)))
 
 
 def at_bound(whole: Solved, c: JointCandidate, share: float) -> bool:

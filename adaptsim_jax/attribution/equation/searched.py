@@ -21,6 +21,7 @@ from adaptsim_jax.attribution.equation.balance import (
     read_more,
     read_wrong,
     residual,
+    rms,
     tilting,
 )
 from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, Sums, rows_of, solved
@@ -244,45 +245,40 @@ class Searched:
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
         self.averaged = balance.averaged(self.table.driven()[0])
-        torque = np.sqrt(np.mean(np.square(self.averaged), 0))
-        size = np.sqrt(np.mean(np.square(missing), 0))
+        torque = rms(self.averaged)
         taken = self.averaged + missing  # by the motion, where nothing is told of what acts
-        self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.minimum = np.maximum(BALANCE.min_of_torque * torque, BALANCE.min_of_missing * size)
-        self.rows = rows_of(
-            missing, missing, balance.trial, balance.time, self.minimum, balance.clear
+        self.torque = np.where(torque > 0, torque, rms(taken))
+        self.minimum = np.maximum(
+            BALANCE.min_of_torque * torque, BALANCE.min_of_missing * rms(missing)
         )
-        self._summed()
+        self._weighed(missing, missing)
         self.weigh(self.set_of(()))
         self.local = {j: k for k, j in enumerate(balance.group.joints)}
 
     def weigh(self, fitted: Solved) -> None:
         """Weights from what a set leaves."""
         self.table.explained = fitted.columns @ fitted.step
-        left = self.rows.missing - self.table.explained
-        self.rows = rows_of(
-            self.rows.missing,
-            left,
-            self.balance.trial,
-            self.balance.time,
-            self.minimum,
-            self.balance.clear,
-        )
-        self._summed()
+        self._weighed(self.rows.missing, self.rows.missing - self.table.explained)
 
-    def _summed(self) -> None:
+    def _weighed(self, missing: np.ndarray, left: np.ndarray) -> None:
+        """Rows and their sums, by what is left."""
+        b = self.balance
+        self.rows = rows_of(missing, left, b.trial, b.time, self.minimum, b.clear)
         self.sums = Sums(self.rows)
         self.sums.add("", self.base)
 
+    def began(self, entries: Sequence[Entry]) -> np.ndarray:
+        """Values [P] of entries, those of `null` first, at which their columns were made."""
+        return np.array([*self.null.values, *(e.start for e in entries[len(self.null) :])])
+
     def set_of(self, added: Sequence[JointCandidate]) -> Solved:
         names: list[Any] = [""]
-        entries, now = list(self.null.entries), list(self.null.values)
+        entries = list(self.null.entries)
         for c in added:
             entries += c.entries
-            now += [e.start for e in c.entries]
             names.append((c.key, c.shape))
             self.sums.add(names[-1], self.table.stack(c.entries, c.shaped()))
-        found = solved(self.sums, names, entries, np.array(now))
+        found = solved(self.sums, names, entries, self.began(entries))
         changed = [i for i, e in enumerate(entries) if e.owner in self.bends]
         if not changed:
             return found
@@ -349,11 +345,9 @@ def worth_apart(
     def weigh(z):
         return (z * (rows.weight * even)[..., None]).reshape(left.size, z.shape[2])
 
-    began = [*state.null.values, *(e.start for e in now.entries[len(state.null) :])]
+    values = state.began(now.entries) + now.step
     free = [
-        i
-        for i, (e, z) in enumerate(zip(now.entries, began + now.step, strict=True))
-        if e.low < z < e.high
+        i for i, (e, z) in enumerate(zip(now.entries, values, strict=True)) if e.low < z < e.high
     ]
     a, y = weigh(now.columns[..., free]), left * even
     prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
@@ -413,15 +407,7 @@ def exact(
     """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one,
     or from the values of a fit that is `near`, where that is better; standard errors [P].
     """
-    entries, values = (
-        list(whole.entries),
-        list(np.array([*state.null.values]) + whole.step[: len(state.null)]),
-    )
-    values += [
-        e.start + z
-        for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)
-    ]
-    vector = Vector(tuple(entries), np.array(values))
+    vector = Vector(whole.entries, state.began(whole.entries) + whole.step)
     vector = vector.at(np.clip(vector.values, vector.low, vector.high))
     for c in added:
         vector = vector.with_entries(shape_entries(state.problem, state.reach, c))

@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.attribution.criteria import WINDOW
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.diagnosis.criteria import FOLD
-from adaptsim_jax.diagnosis.folds import apart_of, blocks_of_windows, folds_of
+from adaptsim_jax.diagnosis.folds import apart_of, blocks_of_windows, folds_of, hop_of
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
 
@@ -88,11 +88,7 @@ def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
     """How many neighbouring windows say the same [n]: one and twice the sum of the autocorrelation
     up to its first zero.
     """
-    if len(time) > 1:
-        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
-    else:
-        hop = 1.0
-    most = max(1, int(WINDOW.memory / max(hop, 1e-6)))
+    most = max(1, int(WINDOW.memory / max(hop_of(trial, time), 1e-6)))
     z = left - left.mean(0)
     power = np.square(z).mean(0) + 1e-300
     out, alive = np.ones(left.shape[1]), np.ones(left.shape[1], bool)
