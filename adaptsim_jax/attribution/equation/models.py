@@ -2,7 +2,7 @@
 predict, what is named.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
 
@@ -335,6 +335,20 @@ def without(
         ]
         out.append(w if len(less) == len(w.added) and not instead else refitted(w, less))
     return merged(replace(found.null, values=found.null.values), out)
+
+
+Span = tuple[str, float, float]
+"""A part of a log: its trial, and from when to when it goes, s."""
+
+
+def made_apart(found: TorqueSearch) -> Iterator[tuple[Span, TorqueSearch]]:
+    """Each part of the log (trials, or thirds of one) with the same effects fitted without it."""
+    one = found.searches[0]
+    for part in np.unique(one.rows.part):
+        mine = one.rows.part == part
+        trial, time = one.balance.trial[mine][0], one.balance.time[mine]
+        less = [refitted(replace(w, state=w.state.without(part)), w.added) for w in found.searches]
+        yield (one.balance.names[trial], time[0], time[-1]), merged(found.null, less)
 
 
 def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:

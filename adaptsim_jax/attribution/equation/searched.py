@@ -3,6 +3,7 @@ always fitted, rows and weights; and by what a candidate is ranked.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -260,10 +261,20 @@ class Searched:
         self.table.explained = fitted.columns @ fitted.step
         self._weighed(self.rows.missing, self.rows.missing - self.table.explained)
 
+    def without(self, part: int) -> "Searched":
+        """Without a part of the log, whose rows have no weight."""
+        less = copy(self)
+        less.rows = replace(self.rows, weight=self.rows.weight * (self.rows.part != part)[:, None])
+        less._summed()
+        return less
+
     def _weighed(self, missing: np.ndarray, left: np.ndarray) -> None:
         """Rows and their sums, by what is left."""
         b = self.balance
         self.rows = rows_of(missing, left, b.trial, b.time, self.minimum, b.clear)
+        self._summed()
+
+    def _summed(self) -> None:
         self.sums = Sums(self.rows)
         self.sums.add("", self.base)
 
