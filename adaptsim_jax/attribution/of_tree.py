@@ -7,7 +7,6 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.account import reported, write_so_far
@@ -21,6 +20,7 @@ from adaptsim_jax.attribution.mend import gain_notes, gains, lost, mjcf_files
 from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
 from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.attribution.replay import follows, recommended
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest
@@ -42,7 +42,7 @@ def answered(
     return Answer(report, evidence, _files(found, summary), verify)
 
 
-def _add_unlike(report: dict[str, Any], e: Examined) -> None:
+def _add_unlike(report: Table, e: Examined) -> None:
     """Put into a report how the machine differs from its model file, in place."""
     machine, unlike = e.inquiry.machine, otherwise(report["declared"]["after"])
     report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, e.problem, e.found)]
@@ -51,7 +51,7 @@ def _add_unlike(report: dict[str, Any], e: Examined) -> None:
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
 
 
-def _files(e: Examined, summary: dict[str, Any]) -> dict[str, Callable[[], str]]:
+def _files(e: Examined, summary: Table) -> dict[str, Callable[[], str]]:
     """What makes the text of each file that holds the model. summary: of its provenance."""
 
     def text():
@@ -60,7 +60,7 @@ def _files(e: Examined, summary: dict[str, Any]) -> dict[str, Callable[[], str]]
     return {MODEL_FILE: text, **mjcf_files(e)}
 
 
-def _verified(asked: DiagnosisRequest, e: Examined, folder: Path) -> dict[str, Any]:
+def _verified(asked: DiagnosisRequest, e: Examined, folder: Path) -> Table:
     """Run the files of `folder` beside the declared one: over whole trials, too, of a machine that
     follows commands. Where the torque has judged, each part of the log by the same files, fitted
     without it.

@@ -36,6 +36,7 @@ from adaptsim_jax.attribution.measures import (
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, joint_errors
@@ -70,7 +71,7 @@ class Replay:
     still: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Table:
         """What `--json` prints."""
         hinge = [j for j, k in enumerate(self.kinds) if k == "hinge"]
         main = hinge or list(range(len(self.kinds)))
@@ -249,7 +250,7 @@ def recommended(
     spans: Mapping[str, float],
     without: Sequence[str] = (),
     apart: Mapping[File, Span] | None = None,
-) -> Callable[[File], dict[str, Any]]:
+) -> Callable[[File], Table]:
     """What runs the files of a folder beside the declared one (`diagnosis.recommended`), as
     `adaptsim replay` does.
 
@@ -286,7 +287,7 @@ def recommended(
         units = tuple("rad" if kind == "hinge" else "m" for kind in one.kinds)
         return FileReplay(one.joint_names, units, error, nothing)
 
-    def verify(folder: File) -> dict[str, Any]:
+    def verify(folder: File) -> Table:
         files = [folder / name for name in WRITTEN if (folder / name).exists()]
         if simulator == "mujoco":
             files = [file for file in files if file.suffix == ".xml"]

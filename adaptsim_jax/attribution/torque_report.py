@@ -4,7 +4,6 @@ headline, notes, and the page's curves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.report import by_joint
 from adaptsim_jax.attribution.sentences import label, place
 from adaptsim_jax.attribution.shown import shown
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise
@@ -80,7 +80,7 @@ def by_torque(
     )
 
 
-def power_rows(problem: TreeProblem, found: TorqueSearch) -> list[dict[str, Any]]:
+def power_rows(problem: TreeProblem, found: TorqueSearch) -> list[Table]:
     """What these recordings would show beside what is in the final model."""
     rows = []
     for w in found.searches:
@@ -97,7 +97,7 @@ def _pooled(m: Measure) -> float:
     return 0.0
 
 
-def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> dict[str, Any]:
+def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> Table:
     found, before, after = e.found, e.before, e.after
 
     def pair(a, b):
@@ -195,9 +195,7 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch, factor: float) -> lis
     ]
 
 
-def curves(
-    problem: TreeProblem, found: TorqueSearch, final: Vector
-) -> dict[str, list[dict[str, Any]]]:
+def curves(problem: TreeProblem, found: TorqueSearch, final: Vector) -> dict[str, list[Table]]:
     """Of the page: torque measured and modelled over time by joint, and friction against speed, of
     a final vector.
     """
