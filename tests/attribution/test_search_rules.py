@@ -206,6 +206,13 @@ def test_a_cogging_must_predict_parts_of_which_its_period_was_not_chosen(trials,
     assert ranked(state, none, some) == (some[1:2] if holds else [])
 
 
+@pytest.mark.parametrize(("span", "least"), [(7.0, 2), (1.3, 10), (0.3, None)])
+def test_what_the_motion_has_not_seen_twice_is_no_cogging(span, least):
+    reach = SimpleNamespace(q_low=np.array([-0.3]), q_high=np.array([span - 0.3]))
+    points = effect_named("cogging", MACHINE).grid_points(reach, 0)
+    assert [p["order"] for p in points][:1] == ([least] if least else [])
+
+
 def test_a_name_that_left_out_trials_do_not_bear_out_is_refused():
     state = SimpleNamespace(
         problem=PROBLEM,
