@@ -207,7 +207,7 @@ def test_what_is_made_without_a_trial_is_what_the_other_trials_say(tmp_path):
     reach = scaled_reach(problem, *own_inertia(problem, null))
     found = search_balances(problem, told, null, reach, Criteria(), False)
     (friction,) = (n.candidate for n in found.named)
-    parts = {name: less for part, less in made_apart(found) for name in part}
+    parts = {part[0]: less for part, less in made_apart(found)}
 
     def level(search):
         return search.final.known()[friction.entries[0].key]
