@@ -14,6 +14,7 @@ from adaptsim_jax.attribution.inquiry import Examined, Inquiry
 from adaptsim_jax.attribution.measures import STRETCHES, TORQUE, predicts_nothing
 from adaptsim_jax.attribution.report import account_of, evidence_of
 from adaptsim_jax.attribution.torque_report import TorqueFound, by_torque, curves
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.report import Account, report_of, withhold_names
 from adaptsim_jax.diagnosis.written import write_partial
 
@@ -31,7 +32,7 @@ def account(e: Examined) -> Account:
         assert q.factor is not None
         torques = TorqueFound(e.by_torque, e.before[TORQUE], e.after[TORQUE], q.factor)
         made = by_torque(made, e.problem, torques, q.criteria)
-    measures: dict[str, Any] = {"judge": e.judge, "why": e.why}
+    measures: Table = {"judge": e.judge, "why": e.why}
     for name, each in (("declared", e.before), ("mended", e.after)):
         measures[name] = {k: m.as_dict() for k, m in each.items() if m is not None}
     if predicts_nothing(e.after):
@@ -43,7 +44,7 @@ def account(e: Examined) -> Account:
 @np.errstate(over="ignore", invalid="ignore")  # of stretches that run away
 def reported(
     e: Examined, change: Callable[[Account], Account] = lambda made: made
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[Table, Table]:
     """The report, and the arrays behind its page. change: of the account, what a task says
     otherwise.
     """
@@ -59,7 +60,7 @@ def reported(
 def write_so_far(folder: Path, q: Inquiry, found: Selection) -> None:
     """Write the report on what a search has found until now."""
 
-    def made() -> dict[str, Any]:
+    def made() -> Table:
         return report_of(found, account_of(q.machine, q.problem, found, q.criteria, q.horizon))
 
     write_partial(folder, made)

@@ -8,13 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE, Measure, predicts_nothing
 from adaptsim_jax.attribution.posed import excluded_of
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.report import (
@@ -200,13 +200,13 @@ def _effects(members: Sequence[LawMember]) -> tuple[ServoEffect, ...]:
 # ---------------------------------------------------------------- report
 
 
-def reported(d: ServoDiagnosis) -> tuple[dict[str, Any], dict[str, Any]]:
+def reported(d: ServoDiagnosis) -> tuple[Table, Table]:
     """The report, and the arrays behind its page."""
     report = report_on(d)
     return report, {"held_out": _curves(d), "audit": remarks(report["notes"])}
 
 
-def report_on(d: ServoDiagnosis) -> dict[str, Any]:
+def report_on(d: ServoDiagnosis) -> Table:
     """The report alone."""
     recording, found = d.recording, d.found
     file = tuple(s.law for s in recording.servos)
@@ -371,7 +371,7 @@ def _law_words(d: ServoDiagnosis, e: ServoEffect) -> str:
     )
 
 
-def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, dict[str, Any]]:
+def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, Table]:
     """Numbers of an effect, each with its 90 % interval and what the file says."""
     if e.name == POSITION_GAIN.name:
         return _gains(d, e.joint)
@@ -443,11 +443,11 @@ def _unit(s: Servo, unit: str) -> str:
     return unit_at(unit, "slide" if s.slides else "hinge")
 
 
-def _row(value: float, wide: float, unit: str) -> dict[str, Any]:
+def _row(value: float, wide: float, unit: str) -> Table:
     return {"value": value, "low": value - wide, "high": value + wide, "unit": unit}
 
 
-def _gains(d: ServoDiagnosis, j: int) -> dict[str, dict[str, Any]]:
+def _gains(d: ServoDiagnosis, j: int) -> dict[str, Table]:
     """kp, damping and their ratio at a joint."""
     s, law, ends = d.recording.servos[j], d.found.laws[j], d.found.ends()
     whole = ends * d.found.spread([(j, "scale"), (j, "damping")])
@@ -469,13 +469,13 @@ def _gains(d: ServoDiagnosis, j: int) -> dict[str, dict[str, Any]]:
     return {"kp": gain | {"file": s.law.kp}, **out, "damping_over_kp": ratio}
 
 
-def _times(value: float, wide: float, unit: str) -> dict[str, Any]:
+def _times(value: float, wide: float, unit: str) -> Table:
     """An interval of a number whose logarithm was fitted."""
     low, high = value * float(np.exp(-wide)), value * float(np.exp(wide))
     return {"value": float(value), "low": low, "high": high, "unit": unit}
 
 
-def _declared(d: ServoDiagnosis, model: ServoModel) -> dict[str, Any]:
+def _declared(d: ServoDiagnosis, model: ServoModel) -> Table:
     """Rows of kp and damping as a model has them."""
     rows = {}
     for j, (s, law) in enumerate(zip(d.recording.servos, model.laws, strict=True)):
@@ -491,7 +491,7 @@ def _declared(d: ServoDiagnosis, model: ServoModel) -> dict[str, Any]:
     return rows
 
 
-def _error(d: ServoDiagnosis, before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
+def _error(d: ServoDiagnosis, before: np.ndarray, after: np.ndarray) -> Table:
     both = {"before": before, "after": after}
     recording = d.recording
     channels = {
@@ -573,14 +573,14 @@ def _doubts(d: ServoDiagnosis) -> list[str]:
     ]
 
 
-def _curves(d: ServoDiagnosis) -> list[dict[str, Any]]:
+def _curves(d: ServoDiagnosis) -> list[Table]:
     """Measured angles and those of whole trials, before and after."""
     recording = d.recording
     file = [s.law for s in recording.servos]
     paths = dict(zip(("before", "after"), simulate(recording, [file, d.found.laws]), strict=True))
     out = []
     for k, t in enumerate(recording.trials):
-        entry: dict[str, Any] = {
+        entry: Table = {
             "trial": t.name,
             "units": {s.name: "m" if s.slides else "rad" for s in recording.servos},
             "time": t.time,

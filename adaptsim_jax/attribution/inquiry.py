@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
@@ -13,6 +12,7 @@ from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import STRETCHES, of_simulation
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, held
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 
 
@@ -55,7 +55,7 @@ class Inquiry:
         """Whether there are too many joints for stretches to be searched."""
         return self.problem.joints > self.criteria.torque.simulated
 
-    def simulated(self, model: FittedTree) -> dict[str, Any]:
+    def simulated(self, model: FittedTree) -> Table:
         """What a model leaves of simulated stretches, by objective."""
         error = held_error(self.problem, model)
         return {STRETCHES: of_simulation(self.problem, error, STRETCHES, self.horizon)}
@@ -77,8 +77,8 @@ class Examined:
     inquiry: Inquiry
     found: Selection
     by_torque: TorqueSearch | None
-    before: dict[str, Any]
-    after: dict[str, Any]
+    before: Table
+    after: Table
     judge: str
     why: str
 

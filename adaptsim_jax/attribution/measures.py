@@ -12,7 +12,6 @@ torque. What follows commands shows over whole trials.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from adaptsim_jax.attribution.equation.balance import Balance, actuator_force, r
 from adaptsim_jax.attribution.forecast import without_a_model
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import REPORT
 
 STRETCHES, WHOLE, TORQUE = "stretches", "whole", "torque"
@@ -55,7 +55,7 @@ class Measure:
             return float(np.mean(np.maximum(some, -1.0)))
         return float("nan")
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Table:
         """For a report or a program: by joint, and over all of them."""
         if self.name != TORQUE:
             words = ("error", "straight_line", "hold_still")

@@ -28,6 +28,7 @@ from adaptsim_jax.attribution.parameters import INERTIA, TILT
 from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, values_of
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.effects.base import Effect
 from adaptsim_jax.effects.joints.catalogue import MACHINE, TILTS
@@ -70,7 +71,7 @@ def form_of(
     to be found; summary: of its provenance; more: keys of the rig's
     own.
     """
-    own: dict[str, Any] = dict(more or {})
+    own: Table = dict(more or {})
     if any(g.model.tree.linear for g in problem.groups):
         own["linear"] = True
     if any(np.any(g.model.tree.friction_softness) for g in problem.groups):

@@ -2,21 +2,25 @@
 beside the declared one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.account import reported, write_so_far
 from adaptsim_jax.attribution.criteria import CHOICE
+from adaptsim_jax.attribution.equation.models import Span, TorqueSearch, made_apart
 from adaptsim_jax.attribution.examine import examined
 from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
+from adaptsim_jax.attribution.measures import TORQUE
 from adaptsim_jax.attribution.mend import gain_notes, gains, lost, mjcf_files
 from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
 from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.attribution.replay import follows, recommended
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS
 from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest
@@ -33,11 +37,12 @@ def answered(
     _add_unlike(report, found)
     verify = None
     if asked.folder is not None:
-        verify = verifier(asked.data, asked.model, asked.folder, machine, asked.without)
-    return Answer(report, evidence, _files(report, found, asked.made), verify)
+        verify = partial(_verified, asked, found)
+    summary = {k: report[k] for k in ("verdict", "message")} | asked.made
+    return Answer(report, evidence, _files(found, summary), verify)
 
 
-def _add_unlike(report: dict[str, Any], e: Examined) -> None:
+def _add_unlike(report: Table, e: Examined) -> None:
     """Put into a report how the machine differs from its model file, in place."""
     machine, unlike = e.inquiry.machine, otherwise(report["declared"]["after"])
     report["notes"] += [*unlike, *gain_notes(machine), *lost(machine, e.problem, e.found)]
@@ -46,11 +51,8 @@ def _add_unlike(report: dict[str, Any], e: Examined) -> None:
         report["message"] = f"{report['message']} {unlike[0]} {named_by(unlike[0])}"
 
 
-def _files(
-    report: dict[str, Any], e: Examined, made: dict[str, Any]
-) -> dict[str, Callable[[], str]]:
-    """What makes the text of each file that holds the model. made: how the report was made."""
-    summary = {k: report[k] for k in ("verdict", "message")} | made
+def _files(e: Examined, summary: Table) -> dict[str, Callable[[], str]]:
+    """What makes the text of each file that holds the model. summary: of its provenance."""
 
     def text():
         return model_toml.text_of(e.problem, e.found.final, summary, gains(e.inquiry.machine))
@@ -58,19 +60,33 @@ def _files(
     return {MODEL_FILE: text, **mjcf_files(e)}
 
 
-def verifier(
-    data: str | Path,
-    model: str | Path | None,
-    folder: Path,
-    machine: Machine,
-    without: Sequence[str],
-) -> Callable[[Path], dict[str, Any]]:
-    """What runs the files of `folder` beside the declared one: over whole trials, too, of a machine
-    that follows commands.
+def _verified(asked: DiagnosisRequest, e: Examined, folder: Path) -> Table:
+    """Run the files of `folder` beside the declared one: over whole trials, too, of a machine that
+    follows commands. Where the torque has judged, each part of the log by the same files, fitted
+    without it.
     """
+    machine, model = e.inquiry.machine, asked.model
     spans = {f"stretches of {CHOICE.horizon:g} s": CHOICE.horizon}
     if follows(machine):
         spans[WHOLE_TRIALS] = 0.0
     if machine.gain_unknown:  # the file's motors say nothing of a voltage or a current
         model = folder / model_toml.DECLARED
-    return recommended(data, model, "tree", spans, without)
+    if e.judge != TORQUE or e.by_torque is None:
+        return recommended(asked.data, model, "tree", spans, asked.without)(folder)
+    spans = {f"left-out {over}": span for over, span in spans.items()}
+    with TemporaryDirectory() as made:
+        apart: dict[Path, Span] = {}
+        for part, search in made_apart(e.by_torque):
+            place = Path(made, str(len(apart)))
+            place.mkdir()
+            for name, text in _files(_with_values(e, search), {}).items():
+                (place / name).write_text(text())
+            apart[place] = part
+        return recommended(asked.data, model, "tree", spans, asked.without, apart)(folder)
+
+
+def _with_values(e: Examined, search: TorqueSearch) -> Examined:
+    """What was found with the values of another fit."""
+    final = e.found.final
+    final = replace(final, fit=replace(final.fit, vector=search.final))
+    return replace(e, found=replace(e.found, final=final), by_torque=search)

@@ -8,7 +8,6 @@ from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -37,6 +36,7 @@ from adaptsim_jax.attribution.pendulum import (
     rig_of,
 )
 from adaptsim_jax.attribution.posed import DiagnosisSetting
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import Note, Report, notes_of
@@ -86,7 +86,7 @@ def diagnose_pendulum(
     page: Page | None = None,
     as_declared: bool = False,
     effects: Sequence[Effect] | None = None,
-) -> dict[str, Any]:
+) -> Table:
     """Which effects a recorded double pendulum has that a rigid body lacks.
 
     Args:
@@ -140,7 +140,7 @@ def _searched(
     notify: Note,
     run: Run,
     output: Output,
-) -> dict[str, Any]:
+) -> Table:
     """The report on a recording that is sound, written. See `diagnose_pendulum`."""
     rig, folder = rig_of(log), output.folder
     keep = None if folder is None else partial(write_so_far, folder)
@@ -171,12 +171,12 @@ def _machine(log: Log, effects: Sequence[Effect] | None, spare: Path) -> Machine
     return model_toml.applied(given, rig.model_file, made, tuple(known.values()))
 
 
-def _model_text(rig: Rig, e: Examined, provenance: dict[str, Any]) -> str:
+def _model_text(rig: Rig, e: Examined, provenance: Table) -> str:
     """`model.toml` of what was found."""
     return model_toml.text_of(e.problem, e.found.final, provenance, more=own_keys(rig))
 
 
-def _reported(log: Log, e: Examined, checked: Audit) -> tuple[dict[str, Any], dict[str, Any]]:
+def _reported(log: Log, e: Examined, checked: Audit) -> tuple[Table, Table]:
     """The report in the rig's own numbers, and the arrays behind its page."""
     rig, problem = rig_of(log), e.problem
 
@@ -228,7 +228,7 @@ def first_parameters(log: Log) -> np.ndarray:
     return theta
 
 
-def _of_unknown_masses(report: dict[str, Any], rig: Rig) -> None:
+def _of_unknown_masses(report: Table, rig: Rig) -> None:
     """Where nothing of the masses is known, the gain g of one joint's torque is that of the other's
     by 1 / (1 + g), all masses and dampings being as many times less: put among the alternatives, in
     place.

@@ -10,7 +10,6 @@ reported: inertia about the axis and first moments across it.
 """
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.parameters import INERTIA
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.testing import deviates, jackknife
 from adaptsim_jax.effects.joints.catalogue import ETA
 from adaptsim_jax.mechanisms.inertia_frames import (
@@ -62,9 +62,7 @@ class InertialQuantity:
     combined: bool
 
 
-def inertia_rows(
-    machine: Machine, problem: TreeProblem, model: FittedTree
-) -> dict[str, dict[str, Any]]:
+def inertia_rows(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Table]:
     """Rows of `declared` in the report: combinations by joint, then bodies; `identifiable` where
     the data fix the value.
     """
@@ -92,7 +90,7 @@ def inertia_rows(
     return rows
 
 
-def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, dict[str, Any]]) -> list[str]:
+def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, Table]) -> list[str]:
     """What the data fix of the inertial parameters, in words; nothing where none was fitted."""
     own = [i for i, e in enumerate(model.fit.vector.entries) if e.owner == INERTIA]
     if not own or not rows:
@@ -126,7 +124,7 @@ def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, dict[str, 
     ]
 
 
-def otherwise(rows: dict[str, dict[str, Any]]) -> list[str]:
+def otherwise(rows: dict[str, Table]) -> list[str]:
     """Which combinations, masses or dampings that the file gives the data fix at another value than
     it does, the three furthest off: a payload, another part.
     """

@@ -19,6 +19,7 @@ from adaptsim_jax.attribution.choice import Choice, choose
 from adaptsim_jax.attribution.conventions import check_conventions
 from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.attribution.equation.balance import balances
+from adaptsim_jax.attribution.equation.models import Span
 from adaptsim_jax.attribution.equation.rubbing import giving
 from adaptsim_jax.attribution.forecast import forecast, without_a_model
 from adaptsim_jax.attribution.load import load
@@ -35,6 +36,7 @@ from adaptsim_jax.attribution.measures import (
 )
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, joint_errors
@@ -69,7 +71,7 @@ class Replay:
     still: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
     measures: Mapping[str, Measure | None] = field(default_factory=dict)
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Table:
         """What `--json` prints."""
         hinge = [j for j, k in enumerate(self.kinds) if k == "hinge"]
         main = hinge or list(range(len(self.kinds)))
@@ -247,30 +249,45 @@ def recommended(
     simulator: str,
     spans: Mapping[str, float],
     without: Sequence[str] = (),
-) -> Callable[[File], dict[str, Any]]:
+    apart: Mapping[File, Span] | None = None,
+) -> Callable[[File], Table]:
     """What runs the files of a folder beside the declared one (`diagnosis.recommended`), as
-    `adaptsim replay` does. declared: None: as meta.toml says; without: trials that are left out.
-    """
-    read, known = cache(partial(load, data)), dict[tuple[bytes, float], Replay]()
+    `adaptsim replay` does.
 
-    def simulated(model: str | File | None, span: float) -> Replay:
+    Args:
+        declared: None: as meta.toml says.
+        without: Trials that are left out.
+        apart: Folders of the same files, each made without a part of the log, over which alone
+            they are run. None: those of the folder over all of it.
+    """
+    read, known = cache(partial(load, data)), dict[tuple[Any, ...], Replay]()
+
+    def simulated(model: str | File | None, span: float, part: Span | None) -> Replay:
         if simulator == "mujoco":
             return replay_files(model, data, span, (STRETCHES,), simulator)
-        machine = read(model)
-        same = (_simulated_by(machine), span)
+        machine, most = read(model), REPORT.run_stretches
+        if part and apart:
+            trial, *ends = part
+            tracks = tuple(t.between(*ends) for t in machine.tracks if t.name == trial)
+            machine, most = dataclasses.replace(machine, tracks=tracks), most // len(apart)
+        same = (_simulated_by(machine), span, part)
         if same not in known:
-            known[same] = replay(machine, span, most=REPORT.run_stretches, roughly=True)
+            known[same] = replay(machine, span, most=max(most, 1), roughly=True)
         return known[same]
 
     def run(model: File | None, span: float) -> FileReplay:
-        found = simulated(model or declared, span)
-        own = [k for k, name in enumerate(found.trial_names) if name not in without]
-        taken = np.isin(found.trial, own)
-        nothing = np.minimum(found.line, found.still)
-        units = tuple("rad" if kind == "hinge" else "m" for kind in found.kinds)
-        return FileReplay(found.joint_names, units, found.error[taken], nothing[taken])
+        found = []
+        for folder, part in (apart or {None: None}).items():
+            file = folder / model.name if folder and model else model or declared
+            found.append(simulated(file, span, part))
+        one = found[0]
+        taken = [r.trial_names[k] not in without for r in found for k in r.trial]
+        error = np.concatenate([r.error for r in found])[taken]
+        nothing = np.concatenate([np.minimum(r.line, r.still) for r in found])[taken]
+        units = tuple("rad" if kind == "hinge" else "m" for kind in one.kinds)
+        return FileReplay(one.joint_names, units, error, nothing)
 
-    def verify(folder: File) -> dict[str, Any]:
+    def verify(folder: File) -> Table:
         files = [folder / name for name in WRITTEN if (folder / name).exists()]
         if simulator == "mujoco":
             files = [file for file in files if file.suffix == ".xml"]

@@ -36,6 +36,7 @@ from adaptsim_jax.attribution.sentences import (
     standing,
     unused,
 )
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.experiment import separated_by
 from adaptsim_jax.diagnosis.finding import Named
@@ -107,7 +108,7 @@ def account_of(
     )
 
 
-def next_experiment(problem: TreeProblem, found: Selection) -> dict[str, Any] | None:
+def next_experiment(problem: TreeProblem, found: Selection) -> Table | None:
     """Where a name has a look-alike: which joints to move, and how, to see either by itself.
 
     What shows an effect stands in its record; a joint's speed is that of the recording, so that it
@@ -142,7 +143,7 @@ def _remains(problem: TreeProblem, found: Selection, criteria: Criteria) -> Rema
     )
 
 
-def _remaining(problem: TreeProblem, remains: Remains) -> dict[str, Any]:
+def _remaining(problem: TreeProblem, remains: Remains) -> Table:
     median = np.median(remains.after, 0)
     times = median / np.maximum(remains.noise, 1e-12)
     return {
@@ -152,7 +153,7 @@ def _remaining(problem: TreeProblem, remains: Remains) -> dict[str, Any]:
     }
 
 
-def by_joint(problem: TreeProblem, error: np.ndarray, times: np.ndarray) -> dict[str, Any]:
+def by_joint(problem: TreeProblem, error: np.ndarray, times: np.ndarray) -> Table:
     """Rows of `remaining`: error [n] and how many times the noise floor [n] that is."""
     return {
         name: {"error": float(error[j]), "times_floor": float(times[j])}
@@ -160,9 +161,7 @@ def by_joint(problem: TreeProblem, error: np.ndarray, times: np.ndarray) -> dict
     }
 
 
-def evidence_of(
-    problem: TreeProblem, found: Selection, report: Mapping[str, Any]
-) -> dict[str, Any]:
+def evidence_of(problem: TreeProblem, found: Selection, report: Mapping[str, Any]) -> Table:
     """The arrays behind the page of a report."""
     return {"held_out": _held_out(problem, found), "audit": remarks(report["notes"])}
 
@@ -188,7 +187,7 @@ def _outliers(
     return sorted(out, key=lambda row: -row[2])
 
 
-def _effect(machine: Machine, problem: TreeProblem, found: Selection, n: Named) -> dict[str, Any]:
+def _effect(machine: Machine, problem: TreeProblem, found: Selection, n: Named) -> Table:
     """What a row of `effects` says of a name besides its test."""
     c, model = n.candidate, found.final
     effect, numbers = problem.effect(c.effect), {}
@@ -216,7 +215,7 @@ def _effect(machine: Machine, problem: TreeProblem, found: Selection, n: Named) 
 
 def _of_a_body(
     machine: Machine, problem: TreeProblem, model: FittedTree, body: int
-) -> dict[str, dict[str, Any]]:
+) -> dict[str, Table]:
     """A body's inertia as a person knows it, and not in the coordinates of the fit."""
     of = f" of {machine.tree.body_names[body]}"
     out = {}
@@ -227,7 +226,7 @@ def _of_a_body(
     return out
 
 
-def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]:
+def with_limits(numbers: dict[str, Table]) -> dict[str, Table]:
     """With limits of force as a data sheet has them [N m or N] before the share that is cut off the
     largest torque.
     """
@@ -248,7 +247,7 @@ def with_limits(numbers: dict[str, dict[str, Any]]) -> dict[str, dict[str, Any]]
     return limits | numbers
 
 
-def _error(problem: TreeProblem, remains: Remains, horizon: float) -> dict[str, Any]:
+def _error(problem: TreeProblem, remains: Remains, horizon: float) -> Table:
     both = {"before": remains.before, "after": remains.after}
     channels = {}
     for j, name in enumerate(problem.joint_names):
@@ -288,7 +287,7 @@ def _scored(problem: TreeProblem, found: Selection) -> list[Scored]:
 
 def power_rows(
     problem: TreeProblem, scores: Sequence[CandidateScore], criteria: Criteria
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """Rows of `power` of candidates that act linearly through one number: the size that
     `TEXT.power` of recordings like this one would show.
 
@@ -320,7 +319,7 @@ def power_rows(
     return sorted(rows, key=lambda row: (row["name"], row["where"]))
 
 
-def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
+def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> Table:
     """Fitted inertias, as a person knows them (`physical_inertias`), and dampings."""
     late = (
         Criteria.min_shift * problem.reach.dt
@@ -343,7 +342,7 @@ def _declared(machine: Machine, problem: TreeProblem, model: FittedTree) -> dict
     return physical_inertias.inertia_rows(machine, problem, model) | dampings
 
 
-def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
+def _coordinates(problem: TreeProblem, model: FittedTree) -> Table:
     """Inertias in the fit's own coordinates, without unit, about the declared ones."""
     return {
         f"{e.name} of {problem.joint_names[e.joints[0]]}": row
@@ -352,7 +351,7 @@ def _coordinates(problem: TreeProblem, model: FittedTree) -> dict[str, Any]:
     }
 
 
-def _numbers_of(model: FittedTree) -> list[tuple[Entry, dict[str, Any]]]:
+def _numbers_of(model: FittedTree) -> list[tuple[Entry, Table]]:
     out = []
     for e, value, half in zip(
         model.fit.vector.entries, model.fit.vector.values, model.half_width, strict=True

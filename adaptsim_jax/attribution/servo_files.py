@@ -5,13 +5,13 @@ these simulate.
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.attribution import model_toml
 from adaptsim_jax.attribution.closed_loop import ServoDiagnosis, by_piece, measure_of
 from adaptsim_jax.attribution.in_mjcf import changes_of
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.recommended import WHOLE_TRIALS, FileReplay, joint_errors
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
@@ -27,7 +27,7 @@ from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 
 
-def files(d: ServoDiagnosis, run: dict[str, Any]) -> dict[str, Callable[[], str]]:
+def files(d: ServoDiagnosis, run: Table) -> dict[str, Callable[[], str]]:
     """What makes the text of each file that holds the model."""
     form, mechanism = _form(d, run), d.machine.mechanism
     changes = _changes(d, form)
@@ -67,10 +67,10 @@ def _changes(d: ServoDiagnosis, form: Form) -> Changes:
     return replace(changes_of(d.machine, form), comments=comments, lost=())
 
 
-def _form(d: ServoDiagnosis, run: dict[str, Any]) -> Form:
+def _form(d: ServoDiagnosis, run: Table) -> Form:
     """model.toml: servos by joint, the payload in the bodies, and what else is added."""
     servos, laws = d.recording.servos, d.found.laws
-    own: dict[str, Any] = {}
+    own: Table = {}
     loaded = _loaded(d)
     if loaded is not None:
         own["inertial"] = {
@@ -111,7 +111,7 @@ def _added(s: Servo, name: str, numbers: dict[str, float], file: dict[str, float
     return [AddedEffect(name, s.name, {k: Value(float(z)) for k, z in numbers.items()})]
 
 
-def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
+def verifier(d: ServoDiagnosis) -> Callable[[Path], Table]:
     """What runs model.xml over whole trials in closed loop, beside the declared file."""
     log = d.machine.log.pick([t.name for t in d.machine.tracks])
 
@@ -124,7 +124,7 @@ def verifier(d: ServoDiagnosis) -> Callable[[Path], dict[str, Any]]:
         nothing = np.minimum(measure.line, measure.still)[None]
         return FileReplay(measure.joints, measure.units, by_piece(d.found, error), nothing)
 
-    def verify(folder: Path) -> dict[str, Any]:
+    def verify(folder: Path) -> Table:
         return joint_errors(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
 
     return verify

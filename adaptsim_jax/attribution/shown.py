@@ -11,19 +11,19 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 from scipy import stats
 
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent, candidates
 from adaptsim_jax.attribution.criteria import BALANCE, TEXT
-from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.balance import Balance, rms
 from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.equation.solve import rows_of
 from adaptsim_jax.attribution.parameters import INERTIA, TILT, Vector
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.attribution.sentences import label
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import FOLD, Criteria
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.effects.joints.catalogue import ETA
@@ -56,7 +56,7 @@ def shown(
     left: np.ndarray,
     least: np.ndarray | float = 0.0,
     criteria: Criteria = CRITERIA,
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """What a motion shows, by effect and joint.
 
     Args:
@@ -98,7 +98,7 @@ def shown(
 
 def _size(z: np.ndarray) -> np.ndarray:
     """Root mean square over windows."""
-    return np.sqrt(np.mean(np.square(z), 0)) + 1e-300
+    return rms(z) + 1e-300
 
 
 def _asked(
@@ -151,7 +151,7 @@ def _table(
     precision: np.ndarray,
     always: list[int],
     criteria: Criteria,
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     count = len({i.candidate.key for i in items})
     level = stats.norm.isf(0.5 * criteria.torque.level / count)
     folds = np.sqrt(FOLD.pieces / (FOLD.pieces - 1.0))
@@ -190,7 +190,7 @@ def _in_unit(balance: Balance, item: Item) -> tuple[str, float]:
     return "kg", 2.0 * float(balance.group.inertias.declared[body, 0])
 
 
-def _order(row: dict[str, Any]) -> tuple[float, float]:
+def _order(row: Table) -> tuple[float, float]:
     return row["alone"] or np.inf, row["size"] or np.inf
 
 

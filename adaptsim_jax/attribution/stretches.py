@@ -39,6 +39,12 @@ class JointTrack:
         """Median row, s."""
         return float(np.median(np.diff(self.time)))
 
+    def between(self, begin: float, end: float) -> "JointTrack":
+        """The rows from `begin` to `end`, s."""
+        own = (self.time >= begin) & (self.time <= end)
+        v = self.v if self.v is None else self.v[own]
+        return JointTrack(self.name, self.time[own], self.q[own], v, self.u[own])
+
 
 @dataclass(frozen=True)
 class JointStretches:

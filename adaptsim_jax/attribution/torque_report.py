@@ -4,12 +4,11 @@ headline, notes, and the page's curves.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import TEXT, WINDOW
-from adaptsim_jax.attribution.equation.balance import Balance, residual
+from adaptsim_jax.attribution.equation.balance import Balance, residual, rms
 from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
@@ -17,6 +16,7 @@ from adaptsim_jax.attribution.problem import TreeProblem, moving
 from adaptsim_jax.attribution.report import by_joint
 from adaptsim_jax.attribution.sentences import label, place
 from adaptsim_jax.attribution.shown import shown
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
 from adaptsim_jax.logs.noise import difference_noise
@@ -42,9 +42,7 @@ def floor_of(problem: TreeProblem, balances: Sequence[Balance]) -> np.ndarray:
     for b in balances:
         rows = float(np.median(np.diff(b.mean.indptr)))  # of a window
         noise = difference_noise([b.u[:, run].T for run in b.runs]) / np.sqrt(0.35 * rows)
-        out[list(b.group.joints)] = np.maximum(
-            noise, 1e-3 * np.sqrt(np.mean(np.square(needed(problem, b)), 0))
-        )
+        out[list(b.group.joints)] = np.maximum(noise, 1e-3 * rms(needed(problem, b)))
     return out
 
 
@@ -82,7 +80,7 @@ def by_torque(
     )
 
 
-def power_rows(problem: TreeProblem, found: TorqueSearch) -> list[dict[str, Any]]:
+def power_rows(problem: TreeProblem, found: TorqueSearch) -> list[Table]:
     """What these recordings would show beside what is in the final model."""
     rows = []
     for w in found.searches:
@@ -99,7 +97,7 @@ def _pooled(m: Measure) -> float:
     return 0.0
 
 
-def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> dict[str, Any]:
+def _error(problem: TreeProblem, e: TorqueFound, floor: np.ndarray) -> Table:
     found, before, after = e.found, e.before, e.after
 
     def pair(a, b):
@@ -142,7 +140,7 @@ def _share(found: TorqueSearch, trial: int, which: int, base: np.ndarray) -> flo
     shares = []
     for k, left in held_missing(found)[which].items():
         b = found.searches[k].balance
-        own = np.sqrt(np.mean(np.square(left[b.trial == trial]), 0))
+        own = rms(left[b.trial == trial])
         shares += list(own / base[list(b.group.joints)])
     return float(np.mean(shares))
 
@@ -197,9 +195,7 @@ def bound_notes(problem: TreeProblem, found: TorqueSearch, factor: float) -> lis
     ]
 
 
-def curves(
-    problem: TreeProblem, found: TorqueSearch, final: Vector
-) -> dict[str, list[dict[str, Any]]]:
+def curves(problem: TreeProblem, found: TorqueSearch, final: Vector) -> dict[str, list[Table]]:
     """Of the page: torque measured and modelled over time by joint, and friction against speed, of
     a final vector.
     """

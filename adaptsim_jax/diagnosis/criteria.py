@@ -131,6 +131,7 @@ class FoldCriteria:
     # from which on each trial is a fold: of fewer, none could show what it lacks
     min_trials: int = 5
     pieces: int = 8  # folds, about, of fewer trials
+    apart: int = 3  # trials, or parts of fewer, that a name must predict without them
     test_pieces: int = 24  # blocks, about, of a test of stretches of fewer trials
     # s, of a block of windows, which overlap: much longer than what neighbours share
     span: float = 0.5

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from scipy import stats
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding
 from adaptsim_jax.diagnosis.fit import jacobian
@@ -22,7 +23,7 @@ from adaptsim_jax.effects.base import Effect
 
 def discriminating(
     simulator: Simulator, found: Finding, proposals: Mapping[str, Simulator]
-) -> dict[str, Any] | None:
+) -> Table | None:
     """Where a named effect has a look-alike: which of the proposals parts the two most, or which
     recorded trial does where there are none; None where every name stands alone.
 
@@ -61,7 +62,7 @@ def separated_by(
     called: Callable[[Label], str],
     shown_by: Callable[[Label], str],
     text: str,
-) -> dict[str, Any] | None:
+) -> Table | None:
     """Where a named effect has a look-alike: what shows either by itself; None where every name
     stands alone, or nothing is known to show it.
 
@@ -102,7 +103,7 @@ def _distances(simulator: Simulator, one: Model, other: Model) -> dict[str, floa
     return {s.names[t]: float(size[s.trial == t].max()) for t in np.unique(s.trial)}
 
 
-def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[dict[str, Any]]:
+def power_rows(problem: Problem, found: Finding, criteria: Criteria) -> list[Table]:
     """Rows of `power`: a candidate's quantity, a size that matters (`Quantity.scale`), and the
     share of recordings like this one in which an effect of that size would pass the score test (its
     level corrected for the number of candidates and of their shapes).

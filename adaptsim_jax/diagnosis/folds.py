@@ -20,6 +20,14 @@ def folds_of(trial: np.ndarray, min_stretches: int = 1) -> np.ndarray:
     return pieces(trial, FOLD.pieces, min_stretches)
 
 
+def apart_of(trial: np.ndarray) -> np.ndarray:
+    """Part `[W]` of the log of each window: trials, or of fewer than three about a third of it."""
+    names = np.unique(trial)
+    if len(names) >= FOLD.apart:
+        return np.searchsorted(names, trial)
+    return pieces(trial, FOLD.apart)
+
+
 def names_of(trial: np.ndarray, fold: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
     """What folds are called, by the names of the trials."""
     first = [int(np.flatnonzero(fold == k)[0]) for k in range(fold.max() + 1)]
@@ -36,15 +44,15 @@ def blocks_of_windows(trial: np.ndarray, time: np.ndarray) -> np.ndarray:
 
     The balance has more blocks than stretches have, since windows are short and many.
     """
-    if len(time) > 1:
-        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
-    else:
-        hop = 1.0
-    return pieces(
-        trial,
-        int(np.clip(len(trial) * hop / FOLD.span, FOLD.min_blocks, FOLD.max_blocks)),
-        FOLD.min_windows,
-    )
+    about = len(trial) * hop_of(trial, time) / FOLD.span
+    return pieces(trial, int(np.clip(about, FOLD.min_blocks, FOLD.max_blocks)), FOLD.min_windows)
+
+
+def hop_of(trial: np.ndarray, time: np.ndarray) -> float:
+    """From window to window, s. trial, time: `[K]` of each."""
+    if len(time) < 2:
+        return 1.0
+    return float(np.median(np.diff(time)[np.diff(trial) == 0]))
 
 
 def pieces(trial: np.ndarray, about: int, min_stretches: int = 1) -> np.ndarray:

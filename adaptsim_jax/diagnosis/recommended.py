@@ -9,10 +9,10 @@ are fitted roughly, beside the declared one, before it is recommended.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT
 
@@ -35,7 +35,7 @@ def joint_errors(
     run: Callable[[Path | None, float], FileReplay],
     files: Sequence[Path],
     spans: Mapping[str, float],
-) -> dict[str, list[dict[str, Any]]]:
+) -> dict[str, list[Table]]:
     """By file what it leaves at each joint, the worst beside the declared file first: rows of
     joint, over (of what), before (the declared file), after, nothing (what needs no model), unit,
     and whether it is worse.
@@ -44,7 +44,7 @@ def joint_errors(
         run: simulates a file (None: the declared one) over stretches of so many seconds.
         spans: s by name, 0 for whole trials.
     """
-    out: dict[str, list[dict[str, Any]]] = {file.name: [] for file in files}
+    out: dict[str, list[Table]] = {file.name: [] for file in files}
     for over, span in spans.items():
         before = run(None, span)
         for file in files:
@@ -58,7 +58,7 @@ def joint_errors(
     return out
 
 
-def _compared(before: FileReplay, after: FileReplay) -> list[dict[str, Any]]:
+def _compared(before: FileReplay, after: FileReplay) -> list[Table]:
     def size(error):
         return np.sqrt(np.mean(np.square(np.minimum(error, REPORT.ran_away)), 0))
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.finding import Finding, Named
 from adaptsim_jax.diagnosis.schema import new_report, verdict_of, with_effects
@@ -91,11 +92,11 @@ class Account:
     headline: Headline
     left: bool
     error: Mapping[str, Any]
-    declared: Callable[[Any], dict[str, Any]]
+    declared: Callable[[Any], Table]
     more: Mapping[str, Any] = field(default_factory=dict)
 
 
-def report_of(found: Finding, account: Account) -> dict[str, Any]:
+def report_of(found: Finding, account: Account) -> Table:
     """The report (`diagnosis.schema`)."""
     effects = [
         effect_row(n, account.label, own)
@@ -156,7 +157,7 @@ def named_words(named: Sequence[Named], called: Callable[[Any], str], folds: str
     return sentence("; ".join(each))
 
 
-def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) -> dict[str, Any]:
+def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) -> Table:
     """A row of `effects`: what is named, its numbers, and how it was tested."""
     rest = {k: v for k, v in own.items() if k != "same"}
     alternatives = [label(a).alternative for a in n.alternatives]
@@ -174,7 +175,7 @@ def effect_row(n: Named, label: Callable[[Any], Label], own: Mapping[str, Any]) 
 
 def candidate_rows(
     found: Finding, label: Callable[[Any], Label], scores: Sequence[Scored]
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """Every candidate that was scored, and what became of it."""
     fate: dict[Hashable, tuple[str, str]] = {
         label(c): ("rejected", why) for c, why in found.refused()
@@ -216,7 +217,7 @@ def error_rows(
     channels: Mapping[str, Errors],
     trial: np.ndarray | None = None,
     over: tuple[str, np.ndarray] | None = None,
-) -> dict[str, Any]:
+) -> Table:
     """The table `error`: medians over all, by channel, and by trial.
 
     Args:
@@ -232,7 +233,7 @@ def error_rows(
     def medians(errors: Errors, at: Any = slice(None)) -> dict[str, float]:
         return {k: float(np.median(v[at])) for k, v in errors.both.items()}
 
-    def of_trial(name: str, mine: np.ndarray) -> dict[str, Any]:
+    def of_trial(name: str, mine: np.ndarray) -> Table:
         each = {c: medians(errors, mine) for c, errors in channels.items()}
         return {"trial": name, **medians(whole, mine), "per_channel": each}
 
@@ -274,7 +275,7 @@ def page_tracks(
     time: np.ndarray,
     shown: Mapping[str, np.ndarray],
     most: int | None = None,
-) -> list[dict[str, Any]]:
+) -> list[Table]:
     """Each trial's stretches one after the other, for the page.
 
     Args:
@@ -305,7 +306,7 @@ def page_tracks(
     return out
 
 
-def withhold_names(report: dict[str, Any], why: str, left: bool) -> None:
+def withhold_names(report: Table, why: str, left: bool) -> None:
     """Put a report's names among what is not established, since its model predicts nothing, in
     place.
 

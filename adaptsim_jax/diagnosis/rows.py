@@ -4,10 +4,10 @@ errors by trial, tracks for its page.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.diagnosis.criteria import REPORT, Criteria
 from adaptsim_jax.diagnosis.finding import Finding, Named
@@ -148,7 +148,7 @@ def interval(problem: Problem, model: Model, name: str) -> tuple[float, float, f
     return value, value - width, value + width
 
 
-def effect_rows(problem: Problem, found: Finding) -> list[dict[str, Any]]:
+def effect_rows(problem: Problem, found: Finding) -> list[Table]:
     """What the rows of `effects` say of each name besides its test: numbers, physics, what shows
     it.
     """
@@ -174,9 +174,7 @@ def same_rows(found: Finding, trial: str) -> list[str]:
     ]
 
 
-def error_table(
-    recorded: Recorded, found: Finding, tracks: Mapping[str, np.ndarray]
-) -> dict[str, Any]:
+def error_table(recorded: Recorded, found: Finding, tracks: Mapping[str, np.ndarray]) -> Table:
     """Left-out errors before and after, by channel and by trial; tracks: `before` and `after` `[T,
     R, C]` m, of left-out trials.
     """
@@ -217,7 +215,7 @@ def scored(found: Finding, alpha: float = Criteria.alpha) -> list[Scored]:
 
 def declared_rows(
     problem: Problem, model: Model, logs: Mapping[str, tuple[str, str]] = LOGS
-) -> dict[str, Any]:
+) -> Table:
     """Declared quantities as fitted. logs: name and unit of what is fitted as a logarithm to the
     base of ten.
     """
@@ -244,9 +242,7 @@ def declared_rows(
     return out
 
 
-def held_out(
-    recorded: Recorded, tracks: Mapping[str, np.ndarray], mended: bool
-) -> list[dict[str, Any]]:
+def held_out(recorded: Recorded, tracks: Mapping[str, np.ndarray], mended: bool) -> list[Table]:
     """Each trial over time, measured and simulated while left out, for the page."""
     out = []
     for i, name in enumerate(recorded.names):
@@ -276,7 +272,7 @@ def plane_tracks(
     tracks: Mapping[str, np.ndarray],
     mended: bool,
     axes: tuple[int, int] = (0, 1),
-) -> dict[str, Any]:
+) -> Table:
     """Tracks `[n, 2]` m of all trials in a plane of two coordinates, for the page."""
 
     def cut(z):

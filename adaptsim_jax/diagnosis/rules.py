@@ -41,6 +41,8 @@ class Evidence:
         level: Up to which its p holds (short trials: Holm's over all that are asked).
         price: The least of its gain.
         steadiness: Its size over its scatter.
+        apart: What it takes off trials, or thirds of one, that were left out even from the choice
+            of its shape, less the price of its numbers, where that is known.
         units, loss: What is left out, and of what an error is, in words.
     """
 
@@ -52,6 +54,7 @@ class Evidence:
     level: float
     price: float
     steadiness: float
+    apart: float | None = None
     units = "trials"
     loss = "squared error"
 
@@ -196,6 +199,16 @@ def too_little_gain(e: Evidence) -> float | None:
     """It takes less off the left-out loss than its numbers cost."""
     if e.gain < e.price:
         return e.gain
+    return None
+
+
+@rule(MODEL, "trials, or thirds of one, that chose nothing of it do not bear it out")
+def not_worth_apart(e: Evidence) -> float | None:
+    """Trials (of fewer than three, thirds) from which nothing of it was chosen, its shape neither,
+    are hardly predicted better with it.
+    """
+    if e.apart is not None and e.apart <= 0.0:
+        return e.apart
     return None
 
 

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import adaptsim_jax
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_json
 
-Page = Callable[[Path, dict[str, Any], dict[str, Any]], None]
+Page = Callable[[Path, Table, Table], None]
 """Writes a report into a folder, `(folder, report, evidence)`."""
 
 
@@ -22,7 +23,7 @@ class Run(NamedTuple):
     began: float
     seed: int = 0
 
-    def as_dict(self) -> dict[str, Any]:
+    def as_dict(self) -> Table:
         """`report["run"]`, at its end."""
         return {
             "version": adaptsim_jax.__version__,
@@ -67,6 +68,6 @@ def command_of(data: str | Path, out: str | Path | None = None, **given: Any) ->
     return shlex.join(words)
 
 
-def plain(folder: Path, report: dict[str, Any], evidence: dict[str, Any]) -> None:
+def plain(folder: Path, report: Table, evidence: Table) -> None:
     """`report.json` alone: the `Page` where none is given."""
     write_json(folder / "report.json", report)

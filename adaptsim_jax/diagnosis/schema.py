@@ -32,6 +32,7 @@ from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 
 SCHEMA = 1  # version of the format of diagnoses: readers refuse others
@@ -67,7 +68,7 @@ class ReportError(ValueError):
 
 def new_report(
     task: str, model: str, verdict: str, message: str, data: Mapping[str, int], **found: Any
-) -> dict[str, Any]:
+) -> Table:
     """A report with every key and nothing found, then `found` laid over it; `error` may be given in
     part.
     """
@@ -113,14 +114,12 @@ def verdict(named: bool, left: bool, alike: bool = False) -> str:
     return "explained"
 
 
-def verdict_of(effects: Sequence[dict[str, Any]], left: bool) -> str:
+def verdict_of(effects: Sequence[Table], left: bool) -> str:
     """The verdict of the rows `effects` of a report."""
     return verdict(bool(effects), left, any(row.get("alternatives") for row in effects))
 
 
-def with_effects(
-    report: dict[str, Any], effects: Sequence[dict[str, Any]], left: bool | None = None
-) -> None:
+def with_effects(report: Table, effects: Sequence[Table], left: bool | None = None) -> None:
     """Put other rows into `effects` of a report, and the verdict that goes with them, in place.
     left: whether more than noise is left, as it was where None.
     """
@@ -149,7 +148,7 @@ def jsonable(value: Any) -> Any:
     raise TypeError(f"a report holds JSON values, not {type(value).__name__}")
 
 
-def check(report: Mapping[str, Any]) -> dict[str, Any]:
+def check(report: Mapping[str, Any]) -> Table:
     """The report in JSON's types. Raises ReportError with all that is wrong with it."""
     clean = jsonable(report)
     found = problems(clean)
@@ -158,7 +157,7 @@ def check(report: Mapping[str, Any]) -> dict[str, Any]:
     return clean
 
 
-def read_report(path: str | Path) -> dict[str, Any]:
+def read_report(path: str | Path) -> Table:
     """A checked report from a file, for programs that read reports. Raises BadInput where it is
     missing, torn or of another schema.
     """
@@ -192,28 +191,26 @@ FLAG = {"type": "boolean"}
 SENTENCES = {"type": "array", "items": {"type": "string"}}
 
 
-def _record(
-    required: Mapping[str, Any], optional: Mapping[str, Any] | None = None
-) -> dict[str, Any]:
+def _record(required: Mapping[str, Any], optional: Mapping[str, Any] | None = None) -> Table:
     """The schema of a table with these keys; others are free."""
     properties = {**required, **(optional or {})}
     return {"type": "object", "required": list(required), "properties": properties}
 
 
-def _list_of(item: Mapping[str, Any]) -> dict[str, Any]:
+def _list_of(item: Mapping[str, Any]) -> Table:
     return {"type": "array", "items": item}
 
 
-def _table_of(value: Mapping[str, Any]) -> dict[str, Any]:
+def _table_of(value: Mapping[str, Any]) -> Table:
     """The schema of a table whose keys are names of the user's."""
     return {"type": "object", "additionalProperties": value}
 
 
-def _report_schema() -> dict[str, Any]:
+def _report_schema() -> Table:
     """The JSON Schema of a report, draft 2020-12 and the keyword `ordered` (`_is_ordered`)."""
     ends = {"type": ["array", "null"], "minItems": 2, "maxItems": 2, "ordered": True}
     intervals = {"intervals": {"type": ["object", "null"], "additionalProperties": ends}}
-    value: dict[str, Any] = _record(
+    value: Table = _record(
         {"value": NUMBER, "low": NUMBER, "high": NUMBER, "unit": {"type": "string"}}
     ) | {"ordered": True}
     pair = _record({"before": SIZE, "after": SIZE}, {"noise_floor": SIZE} | intervals)

@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import notes_of
 from adaptsim_jax.diagnosis import rows
@@ -52,7 +52,7 @@ def diagnose_simulator(
     proposals: Mapping[str, Simulator] | None = None,
     name: str = "simulator",
     command: str | None = None,
-) -> dict[str, Any]:
+) -> Table:
     """Which of a simulator's candidates hold out on left-out stretches.
 
     Args:
@@ -97,7 +97,7 @@ def reported(
     criteria: Criteria,
     proposals: Mapping[str, Simulator],
     name: str,
-) -> tuple[dict[str, Any], dict[str, Any]]:
+) -> tuple[Table, Table]:
     """The report, and the arrays behind its page."""
     s = simulator.stretches
     both = {"before": unweighted(problem, found.null), "after": unweighted(problem, found.final)}
@@ -157,7 +157,7 @@ def by_name(problem: Problem, model: Model) -> dict[str, float]:
     return {q.name: float(model.fit.values[i]) for i, q in enumerate(problem.quantities)}
 
 
-def check_skill(report: dict[str, Any], criteria: Criteria) -> None:
+def check_skill(report: Table, criteria: Criteria) -> None:
     """Withhold names where no model does better than a straight line or holding still, in place."""
     e = report["error"]
     skill = e["skill"]["after"]
@@ -225,7 +225,7 @@ def _error(
     problem: Problem,
     both: Mapping[str, Model],
     tracks: Mapping[str, np.ndarray],
-) -> dict[str, Any]:
+) -> Table:
     s = simulator.stretches
     some, trial = np.unique(s.trial, return_inverse=True)
 

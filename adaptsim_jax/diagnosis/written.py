@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.files import write_bytes, write_json
 from adaptsim_jax.diagnosis.finding import Finding
@@ -85,11 +86,11 @@ def faults_into(folder: Path) -> Iterator[None]:
 
 def write_all(
     folder: Path,
-    report: dict[str, Any],
-    evidence: dict[str, Any],
+    report: Table,
+    evidence: Table,
     page: Page,
     files: Mapping[str, Callable[[], str]],
-    verify: Callable[[Path], dict[str, Any]] | None = None,
+    verify: Callable[[Path], Table] | None = None,
 ) -> None:
     """Report and page first, then each of the files (name -> what makes its text), then the page
     again, which links them. verify: runs the files of the folder beside the declared one, and
@@ -117,7 +118,7 @@ def write_all(
     _page(folder, report, evidence, page)
 
 
-def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: Page) -> None:
+def _page(folder: Path, report: Table, evidence: Table, page: Page) -> None:
     with _noting(folder, report, evidence, "report.json"):
         write_json(folder / "report.json", check(report))
     with _noting(folder, report, evidence, "report.html"):
@@ -125,9 +126,7 @@ def _page(folder: Path, report: dict[str, Any], evidence: dict[str, Any], page: 
 
 
 @contextmanager
-def _noting(
-    folder: Path, report: dict[str, Any], evidence: dict[str, Any], name: str
-) -> Iterator[None]:
+def _noting(folder: Path, report: Table, evidence: Table, name: str) -> Iterator[None]:
     """What a file that cannot be written costs: a warning, whatever it is. Hours of search, what
     is printed, and the other files must not go with it.
     """
@@ -137,7 +136,7 @@ def _noting(
         _noted(report, evidence, f"{name} could not be written: {fault_line(folder, error)}")
 
 
-def _noted(report: dict[str, Any], evidence: dict[str, Any], line: str) -> None:
+def _noted(report: Table, evidence: Table, line: str) -> None:
     if line in report.setdefault("warnings", []):
         return
     report["warnings"].append(line)
@@ -162,7 +161,7 @@ class DiagnosisRequest:
     run: Run
 
     @property
-    def made(self) -> dict[str, Any]:
+    def made(self) -> Table:
         """How a file was made, as it says."""
         return {"data": str(self.data), **self.run.as_dict()}
 
@@ -178,10 +177,10 @@ class Answer:
         verify: Runs the files that were written (`write_all`).
     """
 
-    report: dict[str, Any]
-    evidence: dict[str, Any]
+    report: Table
+    evidence: Table
     files: Mapping[str, Callable[[], str]]
-    verify: Callable[[Path], dict[str, Any]] | None
+    verify: Callable[[Path], Table] | None
 
 
 @dataclass(frozen=True)
@@ -198,12 +197,10 @@ class Output:
     folder: Path | None
     page: Page | None = None
     files: Mapping[str, Callable[[], str]] = field(default_factory=dict)
-    verify: Callable[[Path], dict[str, Any]] | None = None
+    verify: Callable[[Path], Table] | None = None
 
 
-def finished(
-    report: dict[str, Any], evidence: dict[str, Any], run: Run, output: Output
-) -> dict[str, Any]:
+def finished(report: Table, evidence: Table, run: Run, output: Output) -> Table:
     """The checked report with how it was run; where there is a folder, all of it is written."""
     report["run"] = evidence["run"] = run.as_dict()
     report = check(report)
@@ -214,7 +211,7 @@ def finished(
 
 
 def planned(
-    report: dict[str, Any], plan: Mapping[str, Any] | None, columns: Sequence[str]
+    report: Table, plan: Mapping[str, Any] | None, columns: Sequence[str]
 ) -> dict[str, Callable[[], str]]:
     """Put a plan of trials into a report as its next experiment, in place; the file that holds its
     rows, if it has any, with `columns`.

@@ -11,7 +11,12 @@ import pytest
 
 from adaptsim_jax.attribution.account import reported
 from adaptsim_jax.attribution.equation.balance import balances, in_proportion, residual
-from adaptsim_jax.attribution.equation.models import left_out_values, search_balances, without_each
+from adaptsim_jax.attribution.equation.models import (
+    left_out_values,
+    made_apart,
+    search_balances,
+    without_each,
+)
 from adaptsim_jax.attribution.equation.searched import EffectTable, Searched
 from adaptsim_jax.attribution.equation.windows import runs_of
 from adaptsim_jax.attribution.examine import examined
@@ -190,6 +195,26 @@ def test_a_dead_model_is_refused_by_yardstick_verdict_and_search(tmp_path):
     report, _ = reported(whole)
     assert predicts_nothing(whole.after) and headline(whole.before)[0] == "stretches"
     assert report["effects"] == [] and report["message"].startswith("This model predicts nothing")
+
+
+def test_what_is_made_without_a_trial_is_what_the_other_trials_say(tmp_path):
+    """Beside a file that is fitted to all trials; one of them had other friction."""
+    folder = record(tmp_path / "log", friction=0.2, trials=2, held=False)
+    other = record(tmp_path / "other", friction=0.3, trials=3, held=False)
+    (other / "trial_02.csv").rename(folder / "trial_02.csv")
+    machine, problem, told = prepared(folder)
+    null = declared_vector(machine, problem)
+    reach = scaled_reach(problem, *own_inertia(problem, null))
+    found = search_balances(problem, told, null, reach, Criteria(), False)
+    (friction,) = (n.candidate for n in found.named)
+    parts = {part[0]: less for part, less in made_apart(found)}
+
+    def level(search):
+        return search.final.known()[friction.entries[0].key]
+
+    assert list(parts) == ["trial_00", "trial_01", "trial_02"]
+    assert level(parts["trial_02"]) == pytest.approx(0.2, rel=0.1)
+    assert 0.215 < level(found) < level(parts["trial_01"])
 
 
 @pytest.mark.slow

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from adaptsim_jax import cli
-from adaptsim_jax.attribution.replay import replay_files
+from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.attribution.replay import recommended, replay_files
 from tests.attribution.pendulum import XML, record
 
 
@@ -70,3 +71,31 @@ def test_whole_trials_of_unlike_length_are_each_judged_over_their_own(tmp_path):
     ]
     assert both.span == pytest.approx(np.mean([m.span for m in apart]), rel=1e-3)
     np.testing.assert_allclose(both.error, np.mean([m.error for m in apart], 0), rtol=1e-2)
+
+
+def test_each_part_of_a_log_is_run_by_the_files_that_were_made_without_it(data, tmp_path):
+    """A file that is good for the second trial alone, beside one that is good for none."""
+    true, wrong = (XML.format(damping=0.02, friction=0.15, mass=m) for m in (1.0, 2.0))
+    for name, text in (("", wrong), ("0", wrong), ("1", true)):
+        (tmp_path / name).mkdir(exist_ok=True)
+        (tmp_path / name / "model.xml").write_text(text)
+    spans = {"stretches": 0.5}
+    apart = {
+        tmp_path / "0": ("trial_00", 0.0, 9.0),
+        tmp_path / "1": ("trial_01", 0.0, 1.2),
+    }
+    (good,) = recommended(data, None, "tree", spans, ("trial_00",), apart)(tmp_path)["model.xml"]
+    (bad,) = recommended(data, None, "tree", spans, ("trial_01",), apart)(tmp_path)["model.xml"]
+    (both,) = recommended(data, None, "tree", spans, (), apart)(tmp_path)["model.xml"]
+    assert good["after"] < 1e-3 < 0.1 * bad["after"]  # starts are fitted roughly
+    assert good["after"] < both["after"] < bad["after"]
+    assert not good["worse"]
+
+
+@pytest.mark.long
+def test_what_is_recommended_of_torques_is_judged_by_trials_that_made_no_file(data, tmp_path):
+    report = diagnose(data, out=tmp_path, yardstick="torque")
+    over = {row["over"] for rows in report["files"].values() for row in rows}
+    assert set(report["files"]) == {"model.xml", "model.toml"}
+    assert over == {"left-out stretches of 0.5 s"}
+    assert not any(row["worse"] for rows in report["files"].values() for row in rows)

@@ -16,7 +16,7 @@ from adaptsim_jax.attribution.equation.balance_objective import (
 )
 from adaptsim_jax.attribution.equation.searched import Searched, ranked
 from adaptsim_jax.attribution.equation.solve import compared, rows_of
-from adaptsim_jax.attribution.parameters import Entry, Vector
+from adaptsim_jax.attribution.parameters import Entry
 from adaptsim_jax.diagnosis.criteria import Criteria, TorqueCriteria
 from adaptsim_jax.diagnosis.rules import refusal
 from adaptsim_jax.diagnosis.testing import false_discovery
@@ -132,6 +132,7 @@ def test_what_was_found_only_where_nothing_drives_is_held_against_one_joint(monk
     )
     test = SimpleNamespace(p=1e-3, gain=0.5)
     monkeypatch.setattr(balance_objective, "compared", lambda *a: test)
+    monkeypatch.setattr(balance_objective, "worth_apart", lambda *a: [(0.5, None)])
     judge = BalanceObjective(state, ())
     rotor = SimpleNamespace(effect="armature", joints=(0,), entries=(0,), split=lambda: [rotor])
     model, _ = judge.members(judge.model([rotor]))
@@ -162,7 +163,7 @@ def test_a_column_at_its_bound_does_not_hide_what_goes_the_other_way():
     gain = one("torque_gain", "gain", low=-0.9)
     state = SimpleNamespace(
         rows=rows,
-        null=Vector((), np.zeros(0)),
+        began=lambda entries: np.array([e.start for e in entries]),
         table=SimpleNamespace(stack=lambda entries, shape: -0.5 * x[..., None]),
         own=lambda c: [0],
         carry=lambda c: 1.0,
@@ -176,3 +177,53 @@ def test_a_column_at_its_bound_does_not_hide_what_goes_the_other_way():
 
     assert ranked(state, at(0.0), [gain]) == [gain]
     assert ranked(state, at(1e-6), [gain]) == []
+
+
+@pytest.mark.parametrize("trials", [1, 3], ids=["thirds_of_one", "trials"])
+@pytest.mark.parametrize(("orders", "holds"), [((7, 7, 7), True), ((7, 7, 9), False)])
+def test_a_cogging_must_predict_parts_of_which_its_period_was_not_chosen(trials, orders, holds):
+    """It fits its own third well; by pieces of all thirds it would hold out."""
+    rng = np.random.default_rng(0)
+    time, part = np.arange(600) * 0.04, np.repeat(np.arange(3), 200)
+    angle = np.linspace(0.0, 12.0, 600)[:, None]
+    true = np.choose(part[:, None], [np.sin(n * angle) for n in orders])
+    missing = true * (part == 2)[:, None] if not holds else true
+    missing = missing + 0.01 * rng.standard_normal(missing.shape)
+    trial = part if trials == 3 else 0 * part
+    rows = rows_of(missing, missing, trial, time, np.full(1, 1e-3), np.ones_like(missing))
+    state = SimpleNamespace(
+        rows=rows,
+        began=lambda entries: np.array([e.start for e in entries]),
+        table=SimpleNamespace(
+            stack=lambda entries, shape: np.sin(shape["order"] * angle)[..., None]
+        ),
+        own=lambda c: [0],
+        carry=lambda c: 1.0,
+        limits=LIMITS,
+    )
+    some = [one("cogging", "sine", -9.0, (("order", n),)) for n in (5, 7, 9)]
+    none = SimpleNamespace(entries=(), columns=np.zeros((600, 1, 0)), step=np.zeros(0))
+    assert ranked(state, none, some) == (some[1:2] if holds else [])
+
+
+@pytest.mark.parametrize(("span", "least"), [(7.0, 2), (1.3, 10), (0.3, None)])
+def test_what_the_motion_has_not_seen_twice_is_no_cogging(span, least):
+    reach = SimpleNamespace(q_low=np.array([-0.3]), q_high=np.array([span - 0.3]))
+    points = effect_named("cogging", MACHINE).grid_points(reach, 0)
+    assert [p["order"] for p in points][:1] == ([least] if least else [])
+
+
+def test_a_name_that_left_out_trials_do_not_bear_out_is_refused():
+    state = SimpleNamespace(
+        problem=PROBLEM,
+        commanded=False,
+        limits=LIMITS,
+        criteria=Criteria(),
+        carry=lambda c: 1.0,
+    )
+    c = one("coulomb")
+    solved = SimpleNamespace(entries=c.entries, step=np.ones(1), error=np.full(1, 0.1))
+    test = SimpleNamespace(p=1e-4, gain=0.3, overall=0.1)
+    for apart, code in ((0.1, None), (-0.1, "not_worth_apart")):
+        reason = refusal(BalanceEvidence(state, solved, c, test, 0.02, 0.01, apart=apart))
+        assert (reason and reason.code) == code

@@ -408,12 +408,11 @@ def acting(balance: Balance, values: Values) -> tuple[np.ndarray, np.ndarray]:
 
 def in_proportion(reported: np.ndarray, driven: np.ndarray) -> np.ndarray:
     """What actuators do [K, n] over what they were told, root mean squares [n]."""
+    told = rms(reported)
+    share = rms(driven) / np.maximum(told, 1e-300)
+    return np.where(told > 0, np.maximum(share, BALANCE.min_scale), 1.0)
 
-    def size(z):
-        return np.sqrt(np.mean(np.square(z), 0))
 
-    return np.where(
-        size(reported) > 0,
-        np.maximum(size(driven) / np.maximum(size(reported), 1e-300), BALANCE.min_scale),
-        1.0,
-    )
+def rms(z: np.ndarray) -> np.ndarray:
+    """Root mean squares [...] over windows, of z [K, ...]."""
+    return np.sqrt(np.mean(np.square(z), 0))

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
-from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked
+from adaptsim_jax.attribution.equation.balance import rms
+from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked, worth_apart
 from adaptsim_jax.attribution.equation.solve import Solved, compared
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
@@ -43,6 +44,7 @@ class BalanceEvidence(Evidence):
     model: Any = None
     alike: int = 0
     naming: bool = False
+    apart: float | None = None
     units = "blocks"
     loss = "squared missing torque"
 
@@ -107,8 +109,7 @@ def share_of_torque(state: Searched, whole: Solved, c: JointCandidate) -> tuple[
     """
     at = _numbers(whole, c)
     force = whole.columns[..., at] @ whole.step[at]
-    size = np.sqrt(np.mean(np.square(force), 0))
-    return float(np.max(size / np.maximum(state.torque, 1e-300))), state.limits.worth
+    return float(np.max(rms(force) / np.maximum(state.torque, 1e-300))), state.limits.worth
 
 
 def read_so(state: Searched, whole: Solved, c: JointCandidate) -> bool:
@@ -144,7 +145,7 @@ def steadiness(whole: Solved, c: JointCandidate) -> float:
     twice the chance that one is large.
     """
     at = _numbers(whole, c)
-    return float(np.sqrt(np.mean(np.square(whole.step[at] / np.maximum(whole.error[at], 1e-300)))))
+    return float(rms(whole.step[at] / np.maximum(whole.error[at], 1e-300)))
 
 
 def at_bound(whole: Solved, c: JointCandidate, share: float) -> bool:
@@ -262,11 +263,10 @@ class BalanceObjective(Objective):
                 alike = len(p)
                 asked = max(1, model.asked.get(c.effect, 0))
                 level = max(level, false_discovery(p, limits.discovery, asked))
-            rows.append(
-                BalanceEvidence(
-                    state, model.whole, c, test, self.price(c), level, less, model, alike
-                )
-            )
+            shapes = [k for k in self.every if k.key == c.key] or [c]
+            apart = worth_apart(state, less.whole, shapes)[0][0]
+            e = BalanceEvidence(state, model.whole, c, test, self.price(c), level, less, model)
+            rows.append(replace(e, alike=alike, apart=apart))
         return rows
 
     def simpler(

@@ -3,7 +3,7 @@
 import numpy as np
 
 from adaptsim_jax.attribution.criteria import SERVO
-from adaptsim_jax.attribution.equation.balance import Balance
+from adaptsim_jax.attribution.equation.balance import Balance, rms
 from adaptsim_jax.attribution.parameters import Vector
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.diagnosis.criteria import FOLD
@@ -47,7 +47,7 @@ def _regressed(balance: Balance, y: np.ndarray, columns: np.ndarray, clear: np.n
     """Coefficients, and their standard errors by a jackknife over folds."""
     weight = np.sqrt(clear)
     fold = folds_of(balance.trial, FOLD.min_windows)
-    size = np.sqrt(np.mean(np.square(columns), 0)) + 1e-300
+    size = rms(columns) + 1e-300
 
     def solve(some):
         return (

@@ -2,8 +2,9 @@
 predict, what is named.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -226,27 +227,18 @@ def selection(
     """
     final = model_of(problem, found, found.final, found.added)
     steps = [s for w in found.searches for s in w.steps]
-    opening = sorted(
-        (_score(s, null.fit.total) for s in _best_tried(steps)), key=lambda s: -s.held_out
-    )
+    best: dict[tuple, CandidateScore] = {}
+    for candidate, test in ((s.candidate, s.test) for s in steps):
+        if test is None:
+            continue
+        score = CandidateScore(candidate, test.gain * null.fit.total, test.p)
+        best[candidate.key] = max(best.get(candidate.key, score), score, key=_left_out)
+    opening = sorted(best.values(), key=_left_out, reverse=True)
     found_by = (null, final, found.named, (*steps, *found.vetoes), tuple(opening))
     return Selection(*found_by, stages=(null,), last=(), reach=reach)
 
 
-def _best_tried(steps: Sequence[Step]) -> list[Step]:
-    """Of each candidate the test in which it did best."""
-    best: dict[tuple, Step] = {}
-    for s in steps:
-        had = best.get(s.candidate.key)
-        if s.test is not None and (had is None or had.test is None or s.test.gain > had.test.gain):
-            best[s.candidate.key] = s
-    return list(best.values())
-
-
-def _score(step: Step, total: float) -> CandidateScore:
-    test = step.test
-    assert test is not None  # of `_best_tried`
-    return CandidateScore(step.candidate, test.gain * total, test.p)
+_left_out = attrgetter("held_out")
 
 
 def model_of(
@@ -343,6 +335,20 @@ def without(
         ]
         out.append(w if len(less) == len(w.added) and not instead else refitted(w, less))
     return merged(replace(found.null, values=found.null.values), out)
+
+
+Span = tuple[str, float, float]
+"""A part of a log: its trial, and from when to when it goes, s."""
+
+
+def made_apart(found: TorqueSearch) -> Iterator[tuple[Span, TorqueSearch]]:
+    """Each part of the log (trials, or thirds of one) with the same effects fitted without it."""
+    one = found.searches[0]
+    for part in np.unique(one.rows.part):
+        mine = one.rows.part == part
+        trial, time = one.balance.trial[mine][0], one.balance.time[mine]
+        less = [refitted(replace(w, state=w.state.without(part)), w.added) for w in found.searches]
+        yield (one.balance.names[trial], time[0], time[-1]), merged(found.null, less)
 
 
 def held_missing(found: TorqueSearch) -> tuple[dict[int, np.ndarray], dict[int, np.ndarray]]:

@@ -3,6 +3,7 @@ always fitted, rows and weights; and by what a candidate is ranked.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
 from typing import Any
 
@@ -21,6 +22,7 @@ from adaptsim_jax.attribution.equation.balance import (
     read_more,
     read_wrong,
     residual,
+    rms,
     tilting,
 )
 from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, Sums, rows_of, solved
@@ -244,45 +246,50 @@ class Searched:
         self.base = self.table.stack(null.entries)
         missing = self.table.missing()
         self.averaged = balance.averaged(self.table.driven()[0])
-        torque = np.sqrt(np.mean(np.square(self.averaged), 0))
-        size = np.sqrt(np.mean(np.square(missing), 0))
+        torque = rms(self.averaged)
         taken = self.averaged + missing  # by the motion, where nothing is told of what acts
-        self.torque = np.where(torque > 0, torque, np.sqrt(np.mean(np.square(taken), 0)))
-        self.minimum = np.maximum(BALANCE.min_of_torque * torque, BALANCE.min_of_missing * size)
-        self.rows = rows_of(
-            missing, missing, balance.trial, balance.time, self.minimum, balance.clear
+        self.torque = np.where(torque > 0, torque, rms(taken))
+        self.minimum = np.maximum(
+            BALANCE.min_of_torque * torque, BALANCE.min_of_missing * rms(missing)
         )
-        self._summed()
+        self._weighed(missing, missing)
         self.weigh(self.set_of(()))
         self.local = {j: k for k, j in enumerate(balance.group.joints)}
 
     def weigh(self, fitted: Solved) -> None:
         """Weights from what a set leaves."""
         self.table.explained = fitted.columns @ fitted.step
-        left = self.rows.missing - self.table.explained
-        self.rows = rows_of(
-            self.rows.missing,
-            left,
-            self.balance.trial,
-            self.balance.time,
-            self.minimum,
-            self.balance.clear,
-        )
+        self._weighed(self.rows.missing, self.rows.missing - self.table.explained)
+
+    def without(self, part: int) -> "Searched":
+        """Without a part of the log, whose rows have no weight."""
+        less = copy(self)
+        less.rows = replace(self.rows, weight=self.rows.weight * (self.rows.part != part)[:, None])
+        less._summed()
+        return less
+
+    def _weighed(self, missing: np.ndarray, left: np.ndarray) -> None:
+        """Rows and their sums, by what is left."""
+        b = self.balance
+        self.rows = rows_of(missing, left, b.trial, b.time, self.minimum, b.clear)
         self._summed()
 
     def _summed(self) -> None:
         self.sums = Sums(self.rows)
         self.sums.add("", self.base)
 
+    def began(self, entries: Sequence[Entry]) -> np.ndarray:
+        """Values [P] of entries, those of `null` first, at which their columns were made."""
+        return np.array([*self.null.values, *(e.start for e in entries[len(self.null) :])])
+
     def set_of(self, added: Sequence[JointCandidate]) -> Solved:
         names: list[Any] = [""]
-        entries, now = list(self.null.entries), list(self.null.values)
+        entries = list(self.null.entries)
         for c in added:
             entries += c.entries
-            now += [e.start for e in c.entries]
             names.append((c.key, c.shape))
             self.sums.add(names[-1], self.table.stack(c.entries, c.shaped()))
-        found = solved(self.sums, names, entries, np.array(now))
+        found = solved(self.sums, names, entries, self.began(entries))
         changed = [i for i, e in enumerate(entries) if e.owner in self.bends]
         if not changed:
             return found
@@ -327,7 +334,18 @@ class Searched:
 
 
 def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list[JointCandidate]:
-    """Candidates by what they gain held out at first order, the best shape of each."""
+    """Candidates that are worth their numbers apart, by what they gain, the best shape of each."""
+    return [c for worth, c in worth_apart(state, now, some) if worth > 0.0]
+
+
+def worth_apart(
+    state: Searched, now: Solved, some: Sequence[JointCandidate]
+) -> list[tuple[float, JointCandidate]]:
+    """What candidates take off parts of the log (trials, or thirds of one) that were left out, at
+    first order, less the price of their numbers; the best shape of each, the most first.
+
+    The shape by which a part is predicted is chosen without it, too.
+    """
     if not some:
         return []
     rows = state.rows
@@ -338,48 +356,57 @@ def ranked(state: Searched, now: Solved, some: Sequence[JointCandidate]) -> list
     def weigh(z):
         return (z * (rows.weight * even)[..., None]).reshape(left.size, z.shape[2])
 
-    began = [*state.null.values, *(e.start for e in now.entries[len(state.null) :])]
+    values = state.began(now.entries) + now.step
     free = [
-        i
-        for i, (e, z) in enumerate(zip(now.entries, began + now.step, strict=True))
-        if e.low < z < e.high
+        i for i, (e, z) in enumerate(zip(now.entries, values, strict=True)) if e.low < z < e.high
     ]
     a, y = weigh(now.columns[..., free]), left * even
     prior = np.diag([now.entries[i].prior ** -2.0 for i in free])
     inverse = np.linalg.pinv(a.T @ a + prior, rcond=1e-12, hermitian=True)
-    fold = np.repeat(rows.fold, y.shape[1])
-    order = np.argsort(fold, kind="stable")
-    begin, flat = np.unique(fold[order], return_index=True)[1], y.ravel()[order]
+    part = np.repeat(rows.part, y.shape[1])
+    order = np.argsort(part, kind="stable")
+    begin, flat = np.unique(part[order], return_index=True)[1], y.ravel()[order]
     blocks = [state.table.stack(c.entries, c.shaped()) for c in some]
     wide = weigh(np.concatenate(blocks, 2))
     # each column by itself is read next
     freed = np.asfortranarray((wide - a @ (inverse @ (a.T @ wide)))[order])
-    best: dict[tuple, tuple[float, JointCandidate]] = {}
+    shapes: dict[tuple, list[tuple[JointCandidate, np.ndarray, np.ndarray]]] = {}
     at = 0
     for c, block in zip(some, blocks, strict=True):
         own = freed[:, at : at + block.shape[2]]
         at += block.shape[2]
-        share = _gain(own, flat, begin, c) / (0.5 * total.mean() * len(state.own(c)))
-        gain = share * state.carry(c) - state.limits.gain * len(c.entries)
-        if c.key not in best or gain > best[c.key][0]:
-            best[c.key] = gain, c
-    return [c for gain, c in sorted(best.values(), key=lambda z: -z[0]) if gain > 0.0]
+        shapes.setdefault(c.key, []).append((c, *_gains(own, flat, begin, c)))
+    out = []
+    for one in shapes.values():
+        inside, outside = (np.array([z[k] for z in one]) for k in (1, 2))  # [shapes, parts]
+        c = one[int(outside.sum(1).argmax())][0]
+        gain = outside[inside.argmax(0), range(len(begin))].sum()
+        share = gain / (0.5 * total.mean() * len(state.own(c)))
+        out.append((share * state.carry(c) - state.limits.gain * len(c.entries), c))
+    return sorted(out, key=lambda z: -z[0])
 
 
-def _gain(columns: np.ndarray, y: np.ndarray, begin: np.ndarray, c: JointCandidate) -> float:
-    """Half the squares that amplitudes of the other folds take off each. columns: [N, E], rows in
-    the order of their folds; y: [N]; begin: the first row of each fold.
+def _gains(
+    columns: np.ndarray, y: np.ndarray, begin: np.ndarray, c: JointCandidate
+) -> tuple[np.ndarray, np.ndarray]:
+    """Half the squares that amplitudes without each part take off the others [U], and off it [U].
+    columns: [N, E], rows in the order of their parts; y: [N]; begin: the first row of each part.
     """
     hess = np.add.reduceat(columns[:, :, None] * columns[:, None], begin)
     slope = np.add.reduceat(columns * y[:, None], begin)
     low = np.array([e.low - e.start for e in c.entries])
     high = np.array([e.high - e.start for e in c.entries])
     prior = np.diag([e.prior**-2.0 for e in c.entries])
-    others = hess.sum(0) - hess + prior
+    rest, pull = hess.sum(0) - hess, slope.sum(0) - slope
+    others = rest + prior
     others += 1e-9 * others * np.eye(len(prior))
     inverse = np.linalg.pinv(others, rcond=1e-10, hermitian=True)
-    step = np.clip(((slope.sum(0) - slope)[:, None] @ inverse)[:, 0], low, high)
-    return float(np.sum(step * slope) - 0.5 * np.einsum("fi,fij,fj", step, hess, step))
+    step = np.clip((pull[:, None] @ inverse)[:, 0], low, high)
+
+    def taken(slope, hess):
+        return np.sum(step * slope, 1) - 0.5 * np.einsum("fi,fij,fj->f", step, hess, step)
+
+    return taken(pull, rest), taken(slope, hess)
 
 
 SHAPE_ROUNDS = 8  # rounds of steps of shapes, at most
@@ -391,15 +418,7 @@ def exact(
     """The vector of null and effects, shapes too, by Gauss and Newton's steps from the linear one,
     or from the values of a fit that is `near`, where that is better; standard errors [P].
     """
-    entries, values = (
-        list(whole.entries),
-        list(np.array([*state.null.values]) + whole.step[: len(state.null)]),
-    )
-    values += [
-        e.start + z
-        for e, z in zip(whole.entries[len(values) :], whole.step[len(values) :], strict=True)
-    ]
-    vector = Vector(tuple(entries), np.array(values))
+    vector = Vector(whole.entries, state.began(whole.entries) + whole.step)
     vector = vector.at(np.clip(vector.values, vector.low, vector.high))
     for c in added:
         vector = vector.with_entries(shape_entries(state.problem, state.reach, c))

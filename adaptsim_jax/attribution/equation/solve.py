@@ -12,7 +12,7 @@ import numpy as np
 from adaptsim_jax.attribution.criteria import WINDOW
 from adaptsim_jax.attribution.parameters import Entry, Vector
 from adaptsim_jax.diagnosis.criteria import FOLD
-from adaptsim_jax.diagnosis.folds import blocks_of_windows, folds_of
+from adaptsim_jax.diagnosis.folds import apart_of, blocks_of_windows, folds_of, hop_of
 from adaptsim_jax.diagnosis.testing import Test, compare, jackknife, log_ratio, means, share
 
 
@@ -21,7 +21,7 @@ class ForceRows:
     """Missing forces [K, n] with their weights [K, n] (one over their size, and over the root of
     how many neighbours say the same; less
     where a joint hardly moves: what holds it is anything up to the level of its friction), size
-    [n], fold and block [K].
+    [n], fold, block and part [K]: trials, or thirds of one.
     """
 
     missing: np.ndarray
@@ -30,6 +30,7 @@ class ForceRows:
     clear: np.ndarray
     fold: np.ndarray
     block: np.ndarray
+    part: np.ndarray
 
     def loss(self, left: np.ndarray) -> np.ndarray:
         """Mean squares [B, n] of what is left [K, n] in each block, over the sizes."""
@@ -79,18 +80,15 @@ def rows_of(
     size = np.sqrt(np.maximum(np.median(usual, 0), np.square(minimum) + 1e-18))
     alike = _alike(left * np.sqrt(clear), trial, time)
     weight = np.sqrt(clear) / (size * np.sqrt(alike))
-    return ForceRows(missing, weight, size, clear, folds_of(trial, FOLD.min_windows), block)
+    fold = folds_of(trial, FOLD.min_windows)
+    return ForceRows(missing, weight, size, clear, fold, block, apart_of(trial))
 
 
 def _alike(left: np.ndarray, trial: np.ndarray, time: np.ndarray) -> np.ndarray:
     """How many neighbouring windows say the same [n]: one and twice the sum of the autocorrelation
     up to its first zero.
     """
-    if len(time) > 1:
-        hop = float(np.median(np.diff(time)[np.diff(trial) == 0]))
-    else:
-        hop = 1.0
-    most = max(1, int(WINDOW.memory / max(hop, 1e-6)))
+    most = max(1, int(WINDOW.memory / max(hop_of(trial, time), 1e-6)))
     z = left - left.mean(0)
     power = np.square(z).mean(0) + 1e-300
     out, alive = np.ones(left.shape[1]), np.ones(left.shape[1], bool)

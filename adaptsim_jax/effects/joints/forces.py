@@ -45,7 +45,11 @@ def periodic_disturbance(p, m):
 
 
 def _order_grid(reach, joint):
-    return [{"order": float(k)} for k in range(2, 31)]
+    """Of which the motion has seen a period twice: with less it is any slow law of the angle, such
+    as gravity's of a body that is not as in the file.
+    """
+    span = max(float(reach.q_high[joint] - reach.q_low[joint]), 1e-3)
+    return [{"order": float(k)} for k in range(max(2, int(np.ceil(4.0 * np.pi / span))), 31)]
 
 
 def _frequency_grid(reach, joint):

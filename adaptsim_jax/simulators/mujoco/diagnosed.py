@@ -11,6 +11,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.run import Page
 from adaptsim_jax.diagnosis.simulated import diagnose_simulator
@@ -64,7 +65,7 @@ class MujocoSimulator:
     stretches: Compared
     candidates: tuple[Effect, ...]
     remarks: tuple[str, ...] = ()
-    verify: Callable[[Path], dict[str, Any]] | None = None  # runs the files that were written
+    verify: Callable[[Path], Table] | None = None  # runs the files that were written
 
     def predict(self, values: np.ndarray, starts: np.ndarray, which: np.ndarray) -> np.ndarray:
         """See `diagnosis.simulator.Simulator`."""
@@ -278,7 +279,7 @@ def diagnose(
     progress: Callable[[float, float, str], None] | None = None,
     page: Page | None = None,
     command: str | None = None,
-) -> dict[str, Any]:
+) -> Table:
     """Which numbers of a model file hold out on left-out trials of a recording that MuJoCo
     simulates; the report. command: what gives the same answer, for the report.
     """
