@@ -186,7 +186,7 @@ def test_what_is_refused_leaves_the_session_as_it_was(run, tmp_path, capsys, mon
     refuse("torn.csv", "trial 2: ends at 1 s")
     refuse("none.csv", "check the path")
     straight(folder, tmp_path / "mirrored.csv", turn=-1.0)
-    refuse("mirrored.csv", "the tracks look mirrored")
+    refuse("mirrored.csv", "another frame?")
     # a disk that fills, or a process that dies, between the push and its last byte: told again, it
     # comes to the same
     with monkeypatch.context() as patch:

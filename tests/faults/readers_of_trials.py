@@ -239,7 +239,8 @@ def read_push_record(path: Path) -> Read:
         np.array([1, 2]), np.array([[0.8, 0.0]] * 2), np.stack([[0.6, 0.6], ANGLES], 1)
     )
     points = pushes.measured_trajectory(table.columns, at, str(path), asked, PushingConfig()).points
-    check_frame(ANGLES, np.asarray(points[:, -1], float) - np.array(push.START), str(path))
+    way = np.asarray(points[:, -1], float) - np.array(push.START)
+    check_frame(asked.numbers.tolist(), ANGLES, way, str(path))
     return of_points(np.asarray(points))
 
 

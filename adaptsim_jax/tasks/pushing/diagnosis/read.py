@@ -14,7 +14,7 @@ from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks import trial_record
 from adaptsim_jax.tasks.camera_record import Columns, RowName
 from adaptsim_jax.tasks.pushing import model
-from adaptsim_jax.tasks.pushing.frame import KIND, check_each, check_frame, check_order
+from adaptsim_jax.tasks.pushing.frame import KIND, check_frame
 from adaptsim_jax.tasks.pushing.model import PushOptions
 from adaptsim_jax.tasks.pushing.planar import TWINS, PlanarCoefficients, check_options
 from adaptsim_jax.tasks.trial_record import TrialFiles, TrialRecording
@@ -96,10 +96,8 @@ def assemble(
     trial_record.check_starts(names, arrays["aside"], KIND, where)
     trial_record.check_spacing(names, trials.found)
     if not as_declared:
-        angles, ends = acts[:, 1], trials.went(arrays)[:, :2]
-        check_frame(angles, ends, str(where))  # a slight turn is an effect of the catalogue
-        check_order(names, angles, ends, str(where))
-        check_each(names, angles, ends, str(where))
+        # a slight turn is an effect of the catalogue
+        check_frame(names, acts[:, 1], trials.went(arrays)[:, :2], str(where))
     mass = float(meta.get("mass", model.NOMINAL_MASS))
     options = PushOptions(friction=meta.get("friction", "clean"), mass=mass)
     which = config.pick("coefficients", meta.get("coefficients", "native"), TWINS)
