@@ -92,7 +92,7 @@ def check_frame(names: Sequence[float], angles: np.ndarray, way: np.ndarray, whe
         raise BadInput(
             f"{where}: the bottles went {np.degrees(turn):.0f} degrees to the left of their "
             f"pushes, and turned by {share:.2g} of their angles: another frame? give tracks in the "
-            "arm's base frame (x ahead, y to the left; where they are mirrored turn the sign of y) and "
+            "arm's base frame (x ahead, y to the left; mirrored? turn the sign of y) and "
             f"angles in radians; {mend}"
         )
     _check_each(names, went, angles + turn, where, mend)
