@@ -65,10 +65,11 @@ def robot(*arguments):
 
 
 def contents(folder):
+    """Bytes of every file but the lock, which holds the second at which a command began."""
     return {
         str(path.relative_to(folder)): path.read_bytes()
         for path in folder.rglob("*")
-        if path.is_file()
+        if path.is_file() and path.name != ".lock"
     }
 
 
