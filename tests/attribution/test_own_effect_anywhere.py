@@ -72,7 +72,7 @@ from adaptsim_jax.attribution.paths import losses, weigh
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.report.diagnosis_words import effect_name
-from adaptsim_jax.simulators.mujoco.build import Stepped
+from adaptsim_jax.simulators.mujoco.build import SteppedModel
 from adaptsim_jax.simulators.mujoco.catalogue import rows
 from tests.pins.machines import record
 
@@ -108,7 +108,7 @@ def finding(c):
 brush, magnet = (next(c for c in own if c.effect == name) for name in ("brush", "magnet"))
 final = finding(brush).final
 arm = mujoco.MjModel.from_xml_path(machine.mechanism.path)
-stepped = Stepped("", arm, np.arange(2), -1, arm.qpos0, ())
+stepped = SteppedModel("", arm, np.arange(2), -1, arm.qpos0, ())
 at_elbow = replace(problem, excluded=frozenset({("magnet", 1)}))
 left = [c.joints for c in candidates(at_elbow, null, reach) if c.effect == "magnet"]
 print(json.dumps({
