@@ -358,7 +358,8 @@ def near(value: float, truth: float, share: float) -> bool:
 
 def law_judged(rows: dict, name: str, law: dict, file: dict) -> tuple[list, list] | None:
     """(wrong, missed) of kp and damping of a joint: within 15 %, their ratio within 10 % where only
-    that is claimed, damping alone where kp is said not to show; None where both are the file's.
+    that is claimed, what alone is said to show where one of them is said not to; None where both
+    are the file's.
     """
     ratio, before = law["damping"] / law["kp"], file["damping"] / file["kp"]
     if near(law["kp"], file["kp"], 0.02) and near(ratio, before, 0.02):
@@ -368,8 +369,9 @@ def law_judged(rows: dict, name: str, law: dict, file: dict) -> tuple[list, list
         small = near(law["kp"], file["kp"], 0.15) and near(ratio, before, 0.1)
         return [], [] if small else [f"law of {name}"]
     if "damping_over_kp" not in got:
-        close = near(got["damping"]["value"], law["damping"], 0.15)
-        return [] if close else [f"{name} damping {got['damping']['value']:.3g}"], []
+        said = [k for k in ("kp", "damping") if "do not show" not in got[k].get("meaning", "")]
+        far = [k for k in said if not near(got[k]["value"], law[k], 0.15)]
+        return [f"{name} {k} {got[k]['value']:.4g} for {law[k]:.4g}" for k in far], []
     claimed = got["damping_over_kp"]["value"]
     if not near(claimed, ratio, 0.1):
         return [f"{name} damping over kp {claimed:.3g} for {ratio:.3g}"], []

@@ -142,6 +142,10 @@ class ServoDiagnosis:
         """Whether kp shows at all at a joint, damping and limit as they are."""
         return joint >= len(self.found.gain_shown) or self.found.gain_shown[joint]
 
+    def shows_damping(self, joint: int) -> bool:
+        """Whether damping shows at all at a joint, kp and limit as they are."""
+        return joint >= len(self.found.damping_shown) or self.found.damping_shown[joint]
+
 
 def diagnosed(
     machine: Machine,
@@ -217,11 +221,16 @@ def report_on(d: ServoDiagnosis) -> Table:
     account = _account(d, finding)
     report = report_of(finding, account)
     if predicts_nothing({WHOLE: measure_of(d, after)}):
-        report["message"] = f"{NO_SKILL} {report['message']}"
+        report["message"] = (
+            f"Over {judged_over(d)} this model does no better than what needs no model. "
+            f"{report['message']}"
+        )
     return report
 
 
-NO_SKILL = "Over whole trials this model does no better than what needs no model."
+def judged_over(d: ServoDiagnosis) -> str:
+    """What was simulated: whole trials, or stretches of them."""
+    return f"stretches of {d.recording.stretch:g} s" if d.recording.stretch else "whole trials"
 
 
 def by_piece(found: ServoLaws, error: np.ndarray) -> np.ndarray:
@@ -285,7 +294,7 @@ def _account(d: ServoDiagnosis, finding: Finding) -> Account:
     measures = {
         "judge": WHOLE,
         "as_filed": True,
-        "why": "it follows targets, and a closed loop can be simulated over whole trials",
+        "why": f"it follows targets, and a closed loop can be simulated over {judged_over(d)}",
         "declared": {WHOLE: measure_of(d, before).as_dict()},
         "mended": {WHOLE: measure_of(d, after).as_dict()},
     }
@@ -320,7 +329,7 @@ def _account(d: ServoDiagnosis, finding: Finding) -> Account:
         "mechanism",
         Path(d.machine.mechanism.path).name,
         {
-            "trials": len(recording.trials),
+            "trials": len(d.machine.tracks),
             "samples": log.samples,
             "held_out_trials": len(d.found.whole.problems[0].groups),
         },
@@ -343,14 +352,16 @@ def _joints(d: ServoDiagnosis, e: ServoEffect) -> list[str]:
 def _headline(d: ServoDiagnosis, finding: Finding, left: bool) -> Headline:
     unit = "mm" if all(s.slides for s in d.recording.servos) else "mrad"
     sizes = [1e3 * float(np.median(m.errors)) for m in (finding.null, finding.final)]
-    over = d.found.over_noise
-    worst = int(np.argmax(over))
-    rest = f"{over[worst]:.1f} times the noise at {d.recording.servos[worst].name}"
-    declared = f"The model file as it is simulates whole trials to {sizes[1]:.3g} {unit}, {rest}."
+    times = d.found.over_noise
+    worst = int(np.argmax(times))
+    rest = f"{times[worst]:.1f} times the noise at {d.recording.servos[worst].name}"
+    over = judged_over(d)
+    declared = f"The model file as it is simulates {over} to {sizes[1]:.3g} {unit}, {rest}."
     gains = [e for e in d.effects if e.name == POSITION_GAIN.name]
     others = [n for n in finding.named if n.candidate.name != POSITION_GAIN.name]
     law = f"The servos' law is not the file's: {', '.join(_law_words(d, e) for e in gains)}. "
-    rest = f"Whole trials {sizes[0]:.3g} to {sizes[1]:.3g} {unit}; what remains is at most {rest}."
+    sizes_text = f"{over.capitalize()} {sizes[0]:.3g} to {sizes[1]:.3g} {unit}"
+    rest = f"{sizes_text}; what remains is at most {rest}."
     words = named_words(others, lambda e: _label(d, e).words) if others else ""
     mended = f"{law if gains else ''}{words} {rest}".strip()
     return Headline(declared, mended)
@@ -360,6 +371,9 @@ def _law_words(d: ServoDiagnosis, e: ServoEffect) -> str:
     s, law = d.recording.servos[e.joint], d.found.laws[e.joint]
     if s.follows_speed:
         return f"{s.name} kv {law.damping:.3g} (file {s.law.damping:.3g})"
+    if not d.shows_damping(e.joint):
+        kp = f"kp {law.kp:.4g}" if d.shows_gain(e.joint) else "kp unknown"
+        return f"{s.name} {kp} (file {s.law.kp:.4g}), damping unknown (file {s.law.damping:.3g})"
     if not d.shows_gain(e.joint):
         return f"{s.name} damping {law.damping:.3g} (file {s.law.damping:.3g})"
     if not d.knows_scale(e.joint):
@@ -447,6 +461,9 @@ def _row(value: float, wide: float, unit: str) -> Table:
     return {"value": value, "low": value - wide, "high": value + wide, "unit": unit}
 
 
+NOT_SHOWN = ". These data do not show it: another one is simulated as well"
+
+
 def _gains(d: ServoDiagnosis, j: int) -> dict[str, Table]:
     """kp, damping and their ratio at a joint."""
     s, law, ends = d.recording.servos[j], d.found.laws[j], d.found.ends()
@@ -459,7 +476,10 @@ def _gains(d: ServoDiagnosis, j: int) -> dict[str, Table]:
     ratio |= {"file": s.law.damping / s.law.kp, "meaning": "damping over kp"}
     gain["meaning"] = f"the controller's stiffness; the file says {s.law.kp:.4g}"
     if not d.shows_gain(j):
-        gain["meaning"] += ". These data do not show it: another one is simulated as well"
+        gain["meaning"] += NOT_SHOWN
+    if not d.shows_damping(j):
+        out["damping"]["meaning"] = f"of controller and joint{NOT_SHOWN}"
+    if not (d.shows_gain(j) and d.shows_damping(j)):
         return {"kp": gain | {"file": s.law.kp}, **out}
     if not d.knows_scale(j):
         only = (
@@ -532,11 +552,16 @@ def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
 
 def _notes(d: ServoDiagnosis) -> list[str]:
     notes = [
-        "Servos were simulated in closed loop over whole trials, commands held from row to row; "
-        "efforts, if logged, were not used. Each piece's errors are by the numbers that the other "
-        "pieces give. Each name was tested over the trials that were fitted, one number against "
-        "thousands of rows."
+        f"Servos were simulated in closed loop over {judged_over(d)}, commands held from row to "
+        "row; efforts, if logged, were not used. Each piece's errors are by the numbers that the "
+        "other pieces give. Each name was tested over the trials that were fitted, one number "
+        "against thousands of rows."
     ]
+    if d.recording.stretch:
+        notes.append(
+            "Over whole trials joints run away, as at a limit, and what is wrong of a force grows "
+            "with the square of time: each stretch begins as it was measured."
+        )
     if not d.found.laws[0].sharp:
         notes.append(
             "Dry friction gives as MuJoCo's does: whole trials are simulated better than with "
@@ -574,19 +599,24 @@ def _doubts(d: ServoDiagnosis) -> list[str]:
 
 
 def _curves(d: ServoDiagnosis) -> list[Table]:
-    """Measured angles and those of whole trials, before and after."""
-    recording = d.recording
-    file = [s.law for s in recording.servos]
-    paths = dict(zip(("before", "after"), simulate(recording, [file, d.found.laws]), strict=True))
+    """Measured angles and those that were simulated, before and after, by trial."""
+    recording, names = d.recording, [s.name for s in d.recording.servos]
+    paths = simulate(recording, [[s.law for s in recording.servos], d.found.laws])
     out = []
-    for k, t in enumerate(recording.trials):
-        entry: Table = {
-            "trial": t.name,
-            "units": {s.name: "m" if s.slides else "rad" for s in recording.servos},
-            "time": t.time,
-            "measured": {s.name: t.q[:, j] for j, s in enumerate(recording.servos)},
+    for trial in dict.fromkeys(t.name for t in recording.trials):
+        parts = [k for k, t in enumerate(recording.trials) if t.name == trial]
+        angles = {
+            "measured": np.concatenate([recording.trials[k].q for k in parts]),
+            "before": np.concatenate([paths[0][k].q for k in parts]),
+            "after": np.concatenate([paths[1][k].q for k in parts]),
         }
-        for key, motions in paths.items():
-            entry[key] = {s.name: motions[k].q[:, j] for j, s in enumerate(recording.servos)}
-        out.append(entry)
+        times = [recording.trials[k].begin + recording.trials[k].time for k in parts]
+        out.append(
+            {
+                "trial": trial,
+                "units": {s.name: "m" if s.slides else "rad" for s in recording.servos},
+                "time": np.concatenate(times),
+                **{key: dict(zip(names, q.T, strict=True)) for key, q in angles.items()},
+            }
+        )
     return out

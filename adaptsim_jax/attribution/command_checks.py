@@ -22,7 +22,7 @@ from adaptsim_jax.logs.quality.hypotheses import Track
 
 def check_commands(machine: Machine) -> tuple[AuditFinding, ...]:
     """What the motion says of the commands of actuators. Raises BadInput where they are another
-    joint's, or were cut on their way.
+    joint's, or were cut on their way by what no servo does itself.
     """
     if machine.log.input_kind != "command":
         return ()
@@ -42,10 +42,12 @@ def check_commands(machine: Machine) -> tuple[AuditFinding, ...]:
         if stiff > 0 and (
             limited := detect_target_limit(tracks, j, max(damped, 0.0) / stiff / machine.gear[j])
         ):
-            raise BadInput(
-                f"{machine.log.path}: "
-                f"{_cut(machine.tree.joint_names[j], limited, machine.tree.unit(j))}; {AS_DECLARED}"
-            )
+            name = machine.tree.joint_names[j]
+            text = _cut(name, limited, machine.tree.unit(j))
+            if limited.kind == "rate":
+                raise BadInput(f"{machine.log.path}: {text}; {AS_DECLARED}")
+            text += "; a limit of its torque does the same, and is looked for"
+            found.append(AuditFinding("target_within", "warn", "", name, text, limited.size))
         gains = gains_by_trial(tracks, j)
         if gains is not None:
             found.append(_gains(machine, j, gains))

@@ -12,14 +12,25 @@ from adaptsim_jax.attribution.diagnose import diagnose
 from adaptsim_jax.attribution.load import load
 from adaptsim_jax.attribution.replay import replay
 from adaptsim_jax.logs.read import read_source_and_log
+from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.fit import LawFit, fit_law, sum_squares
-from adaptsim_jax.simulators.closed_loop.identified import identify_servos
+from adaptsim_jax.simulators.closed_loop.identified import identify_servos, in_fine_steps
 from adaptsim_jax.simulators.closed_loop.imposed import joint_problems
 from adaptsim_jax.simulators.closed_loop.law import put_law, servos_of, step_law
 from adaptsim_jax.simulators.closed_loop.pieces import imposed_motion
-from adaptsim_jax.simulators.closed_loop.polish import FittedServos, polish_laws, whole_trials
+from adaptsim_jax.simulators.closed_loop.polish import (
+    FittedServos,
+    over_noise,
+    polish_laws,
+    whole_trials,
+)
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
-from adaptsim_jax.simulators.closed_loop.rivals import gain_shown
+from adaptsim_jax.simulators.closed_loop.rivals import (
+    damping_shown,
+    gain_shown,
+    or_other_friction,
+    or_plain,
+)
 from adaptsim_jax.simulators.closed_loop.stepping import errors
 from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 
@@ -128,11 +139,75 @@ def test_motion_at_a_limit_is_alike_in_any_step(cut_arm):
 def test_kp_shows_unless_motion_is_at_a_limit(arm, cut_arm, way, shown):
     made = recording(arm) if way is other else cut_arm
     laws = [way(j, s.law) for j, s in enumerate(made.servos)]
+    whole, found = polished(made, laws, ("scale", "damping", "rub", "limit"))
+    assert gain_shown(whole, found) == (shown, shown)
+
+
+def bang(joint, law):
+    """Hardly damped, and at its limit whenever it moves."""
+    return law._replace(kp=60 * law.kp, damping=0.5, limit=3.0 - 1.5 * joint)
+
+
+def polished(made, laws, free, shared=(), rounds=0):
+    """Whole trials and the servos fitted to them, begun from some laws."""
     problems = joint_problems(made, [imposed_motion(t) for t in made.trials], laws)
     whole = whole_trials(made, problems)
-    fits = tuple(LawFit(law, ("scale", "damping", "rub", "limit")) for law in laws)
-    found = polish_laws(whole, FittedServos(fits), rounds=0)
-    assert gain_shown(whole, found) == (shown, shown)
+    fits = tuple(LawFit(law, free) for law in laws)
+    return whole, polish_laws(whole, FittedServos(fits, shared), rounds=rounds)
+
+
+@pytest.mark.parametrize("way, shown", [(other, True), (bang, False)])
+def test_damping_shows_unless_the_limit_alone_acts(arm, tmp_path, way, shown):
+    made = recording(arm if way is other else logged(tmp_path / "log", ARM, bang))
+    laws = [way(j, s.law) for j, s in enumerate(made.servos)]
+    whole, found = polished(made, laws, ("scale", "damping", "rub", "limit"))
+    assert damping_shown(whole, found) == (shown, shown)
+
+
+def test_a_cut_trial_begins_as_it_was_measured(arm):
+    made = recording(arm)
+    laws = [other(j, s.law) for j, s in enumerate(made.servos)]
+    cut_recording = made.in_pieces_of(1.0).cut()
+    assert len(cut_recording.trials) == len(cut_recording.pieces) == 24
+    first, second = cut_recording.trials[:2]
+    assert first.begin == 0.0 and 0.5 < second.begin == pytest.approx(first.time[-1], abs=0.05)
+    (path,) = simulate(cut_recording, [laws])
+    off = trial_errors(cut_recording, path)
+    late = np.concatenate([t.time > CLOSED_LOOP.unscored for t in cut_recording.trials])
+    assert np.sqrt(np.square(off[late]).mean(0)).max() < 3.0 * NOISE
+
+
+def test_friction_that_holds_is_taken_where_creeping_does_no_better(arm):
+    made = recording(arm)
+    laws = [other(j, s.law)._replace(sharp=0.0) for j, s in enumerate(made.servos)]
+    whole, creeping = polished(made, laws, ("scale", "damping", "rub"), rounds=3)
+    holding = or_other_friction(whole, creeping)
+    assert holding.model.laws[0].sharp == 1.0
+    assert over_noise(whole, holding.errors).max() < 1.5
+
+
+def heavy(joint, law):
+    """Stopped by its damping within a step, with friction at the second joint."""
+    return law._replace(kp=20 * law.kp, damping=20 * law.damping, rub=0.4 * joint)
+
+
+@pytest.mark.parametrize("way, times", [(other, 1.0), (heavy, 0.5)])
+def test_steps_are_as_fine_as_a_law_asks_for(arm, tmp_path, way, times):
+    made = recording(arm if way is other else logged(tmp_path / "log", ARM, way))
+    laws = [way(j, s.law) for j, s in enumerate(made.servos)]
+    whole, _ = polished(made, laws, ())
+    assert in_fine_steps(whole, laws).recording.whole_step == times * made.whole_step
+
+
+def test_late_targets_take_the_place_of_rotors_that_stood_for_them(tmp_path):
+    made = recording(logged(tmp_path / "log", ARM, other, late=0.02))
+    laws = [other(j, s.law) for j, s in enumerate(made.servos)]
+    free = ("scale", "damping", "rub", "rotor")
+    whole, rotors = polished(made, laws, free, ("damping_delay", "shift"), rounds=6)
+    plain = or_plain(whole, rotors, [s.law for s in made.servos])
+    assert plain.model.laws[0].delay == pytest.approx(0.02, abs=0.002)
+    assert not any("rotor" in f.free for f in plain.model.fits)
+    assert over_noise(whole, plain.errors).max() < 1.5
 
 
 def test_coordinates_move_the_scale_with_all_that_it_multiplies(arm):

@@ -10,6 +10,11 @@ class ClosedLoopCriteria:
     step: float = 1e-3  # s: a stiff servo's loop answers within a few milliseconds
     near_end: float = 0.02  # rad (m): from the end of its range, within which a joint may touch it
     longest: float = 4.0  # s, of a piece: a closed loop forgets its start long before
+    # s, of stretches where joints run away from pieces: at a limit no loop is closed, and what is
+    # wrong of a force grows with the square of time
+    stretch: float = 1.0
+    runaway: float = 10.0  # times the noise, that a fitted joint leaves which may run away
+    calmer: float = 0.4  # log of what stretches must leave less at least, joints' mean
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
     start_pieces: int = 10  # the same where fits begin
     unscored: float = 0.15  # s after a piece's start, whose speed is only smoothed
@@ -41,7 +46,8 @@ class ClosedLoopCriteria:
     # of a joint's error over whole trials by the file, that its own numbers must take off together
     better: float = 0.2
     rounds: int = 12  # of a fit
-    # times the noise, by which half as long a step moves a joint that it was short enough for
+    # times the noise, or what is left beyond it, by which half as long a step moves a joint that it
+    # was short enough for
     stepped: float = 0.3
     halvings: int = 2  # of the step, at most: each doubles the time of a round
     settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
@@ -59,6 +65,7 @@ class ClosedLoopCriteria:
     tool: float = 0.1  # m, of the same, where fits begin: most tools are that long
     reach: float = 0.5  # m, at most, from a body's centre of mass to that of what it carries
     late: float = 1e-3  # s: a delay below is none
+    usual_delay: float = 0.02  # s, of a bus or a filter, from which fits over whole trials begin
     damping_delay: float = 2e-3  # s, at most: a step of MuJoCo's, unless a file says another
 
 

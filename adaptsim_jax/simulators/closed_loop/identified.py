@@ -43,6 +43,7 @@ from adaptsim_jax.simulators.closed_loop.polish import (
 from adaptsim_jax.simulators.closed_loop.rivals import (
     CARRIED,
     allowed_by_all,
+    damping_shown,
     gain_shown,
     one_shared,
     or_files_gain,
@@ -104,8 +105,8 @@ class ServoLaws:
         whole: The trials.
         instead: Joints whose kp and damping, times one factor, say what a mass that is carried
             does.
-        gain_shown, scale_shown: By joint, whether another kp alone, and another scale of its
-            servo, are simulated worse.
+        gain_shown, damping_shown, scale_shown: By joint, whether another kp alone, another damping
+            alone, and another scale of its servo, are simulated worse.
     """
 
     recording: Recording
@@ -116,6 +117,7 @@ class ServoLaws:
     whole: WholeTrials
     instead: tuple[int, ...] = ()
     gain_shown: tuple[bool, ...] = ()
+    damping_shown: tuple[bool, ...] = ()
     scale_shown: tuple[bool, ...] = ()
 
     @property
@@ -189,6 +191,10 @@ def identify_servos(
     polished, instead = one_shared(trials, file, STEP_NAMES), ()
     if polished is None:
         model = _joint_by_joint(trials, file, moving_joints, notify)
+        if _run_away(trials, model, moving_joints):
+            trials, model = _or_stretches(trials, model, file, moving_joints, notify)
+            before = trials.errors([file])[0]
+        trials = in_fine_steps(trials, model.laws)
         polished, instead = _of_whole_trials(trials, model, file, notify)
         file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
 
@@ -205,20 +211,72 @@ def identify_servos(
     notify("whole trials in finer steps")
     finer, polished = _in_settled_steps(trials, polish_laws(trials, polished.model))
     after = held_out_errors(finer, polished)
-    shows = gain_shown(finer, polished), scale_shown(finer, polished)
+    shows = [f(finer, polished) for f in (gain_shown, damping_shown, scale_shown)]
     return ServoLaws(finer.recording, polished, members, before, after, finer, instead, *shows)
+
+
+def _run_away(trials: WholeTrials, model: FittedServos, joints: Sequence[int]) -> bool:
+    """Whether a joint, fitted by itself, is far from where it was measured."""
+    far = (error_over_noise(trials.problems[j], model.laws[j]) for j in joints)
+    return max(far, default=0.0) > CLOSED_LOOP.runaway
+
+
+def _or_stretches(
+    trials: WholeTrials,
+    model: FittedServos,
+    file: Sequence[ServoLaw],
+    moving_joints: Sequence[int],
+    notify: Callable[[str], None],
+) -> tuple[WholeTrials, FittedServos]:
+    """Short stretches in the place of whole trials, and the servos fitted to them, where these are
+    followed far better: errors that grow along a trial hide the law.
+    """
+    recording = trials.recording.in_pieces_of(CLOSED_LOOP.stretch)
+    if any(t.begins for t in recording.trials):
+        return trials, model  # joints that others move have no start of their own
+    problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
+    stretches = whole_trials(recording.cut(), problems)
+    notify("stretches, for joints run away from whole trials")
+    new_model = _joint_by_joint(stretches, file, moving_joints, notify)
+    logs = [
+        np.log([error_over_noise(t.problems[j], m.laws[j]) for j in moving_joints])
+        for t, m in ((trials, model), (stretches, new_model))
+    ]
+    if np.mean(logs[0] - logs[1]) < CLOSED_LOOP.calmer:
+        return trials, model
+    return stretches, new_model
+
+
+def in_fine_steps(trials: WholeTrials, laws: Sequence[ServoLaw]) -> WholeTrials:
+    """Whole trials in steps that are halved until this moves no joint of these laws by what
+    counts.
+    """
+    error = trials.errors([laws])[0]
+    for _ in range(CLOSED_LOOP.halvings):
+        finer = replace(trials, recording=trials.recording.restepped(0.5))
+        coarse_error, error = error, finer.errors([laws])[0]
+        if not _is_moved(trials, coarse_error, error):
+            break
+        trials = finer
+    return trials
+
+
+def _is_moved(trials: WholeTrials, coarse_error: np.ndarray, error: np.ndarray) -> bool:
+    """Whether finer steps move a joint by what counts beside the noise and what is left."""
+    moved, left = over_noise(trials, error - coarse_error), over_noise(trials, error)
+    return bool((moved > CLOSED_LOOP.stepped * np.maximum(left, 1.0)).any())
 
 
 def _in_settled_steps(
     trials: WholeTrials, polished: PolishedLaws
 ) -> tuple[WholeTrials, PolishedLaws]:
-    """Whole trials in steps that are halved until this moves no joint by what counts beside the
-    noise, and the servos fitted to them.
+    """Whole trials in steps that are halved until this moves no joint by what counts, and the
+    servos fitted to them.
     """
     for _ in range(CLOSED_LOOP.halvings):
         finer = replace(trials, recording=trials.recording.restepped(0.5))
         error = finer.errors([polished.model.laws])[0]
-        if over_noise(trials, error - polished.errors).max() < CLOSED_LOOP.stepped:
+        if not _is_moved(trials, polished.errors, error):
             break
         trials, polished = finer, polish_laws(finer, polished.model, rounds=4)
     return trials, polished

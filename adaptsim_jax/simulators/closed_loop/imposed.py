@@ -15,7 +15,13 @@ import numpy as np
 
 from adaptsim_jax.simulators.closed_loop.criteria import CLOSED_LOOP
 from adaptsim_jax.simulators.closed_loop.law import Scales, Servo, ServoLaw
-from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, groups_of
+from adaptsim_jax.simulators.closed_loop.pieces import (
+    Trial,
+    TrialMotion,
+    begins_at_rest,
+    groups_of,
+    pieces_of,
+)
 
 
 class Dynamics(NamedTuple):
@@ -192,6 +198,7 @@ class Recording:
         hand: The body that carries a payload, -1: none does.
         outward: [3] in its frame: from its joint to its centre of mass, of length 1.
         step: Of the simulation of one joint, s.
+        stretch: s, where trials are cut into stretches of about that length; 0: they are whole.
     """
 
     model: mujoco.MjModel
@@ -203,11 +210,22 @@ class Recording:
     hand: int
     outward: np.ndarray
     step: float
+    stretch: float = 0.0
 
     @property
     def whole_step(self) -> float:
         """Step of the simulation of whole trials, s."""
         return float(self.model.opt.timestep)
+
+    def in_pieces_of(self, seconds: float) -> "Recording":
+        """Return the recording with other pieces."""
+        return replace(self, pieces=pieces_of(self.trials, seconds), stretch=seconds)
+
+    def cut(self) -> "Recording":
+        """Return the recording with each piece as a trial of its own."""
+        trials = tuple(self.trials[k].between(a, b) for k, a, b in self.pieces)
+        pieces = tuple((k, 0, len(t.time) - 1) for k, t in enumerate(trials))
+        return replace(self, trials=trials, pieces=pieces)
 
     def restepped(self, times: float) -> "Recording":
         """Return the recording with whole trials in steps so many times as long."""

@@ -27,6 +27,8 @@ class Trial:
         target: [T, n] rad or rad/s, held from row to row.
         begins: {joint: rad} of joints that are tied to others.
         others: {actuator: [T]} commands of actuators that are no servo of a joint.
+        speed: [n] rad/s at its first row, where it is cut from another; else its own rows tell.
+        begin: s of its first row in the trial that it is cut from.
     """
 
     name: str
@@ -35,12 +37,31 @@ class Trial:
     target: np.ndarray
     begins: dict[str, float] = field(default_factory=dict)
     others: dict[str, np.ndarray] = field(default_factory=dict)
+    speed: np.ndarray | None = None
+    begin: float = 0.0
+
+    def start_speed(self) -> np.ndarray:
+        """Speeds [n] at the first row, rad/s: 0 of a trial that begins at rest."""
+        if self.speed is not None:
+            return self.speed
+        if begins_at_rest(self.q):
+            return np.zeros(self.q.shape[1])
+        return smooth(self.time, self.q).v[0]
+
+    def between(self, first: int, last: int) -> "Trial":
+        """Its rows from `first` to `last`, with the speed that all of its rows tell."""
+        rows = slice(first, last + 1)
+        others = {name: u[rows] for name, u in self.others.items()}
+        speed = smooth(self.time, self.q).v[first] if first else self.start_speed()
+        begin = float(self.time[first])
+        cut = self.time[rows] - begin, self.q[rows], self.target[rows]
+        return Trial(self.name, *cut, self.begins, others, speed, begin)
 
     def first(self, rows: int) -> "Trial":
         """Its first rows."""
         others = {name: u[:rows] for name, u in self.others.items()}
         cut = self.time[:rows], self.q[:rows], self.target[:rows]
-        return Trial(self.name, *cut, self.begins, others)
+        return Trial(self.name, *cut, self.begins, others, self.speed)
 
 
 @dataclass(frozen=True)
@@ -115,30 +136,33 @@ def imposed_motion(trial: Trial, simulated: TrialMotion | None = None) -> TrialM
     return TrialMotion(simulated.q + remainder.q, simulated.v + remainder.v, mean + remainder.a)
 
 
-def pieces_of(trials: Sequence[Trial]) -> tuple[tuple[int, int, int], ...]:
-    """(trial, first row, last row) of pieces, cut where the machine is slowest.
+def pieces_of(
+    trials: Sequence[Trial], longest: float = CLOSED_LOOP.longest
+) -> tuple[tuple[int, int, int], ...]:
+    """(trial, first row, last row) of pieces of about `longest` s, cut where the machine is
+    slowest.
 
     Of very many those remain that move most.
     """
-    out = []
+    out, most = [], round(CLOSED_LOOP.pieces * CLOSED_LOOP.longest / longest)
     for k, trial in enumerate(trials):
         speed = np.abs(smooth(trial.time, trial.q).v).max(1)
-        edges = _edges(trial.time, speed)
+        edges = _edges(trial.time, speed, longest)
         out += [(k, a, b) for a, b in pairwise(edges) if b - a >= 8]
-    if len(out) > CLOSED_LOOP.pieces:
+    if len(out) > most:
         moves = [np.std(trials[k].q[a:b], 0).sum() for k, a, b in out]
-        chosen = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])
+        chosen = np.sort(np.argsort(moves)[-most:])
         out = [out[i] for i in chosen]
     return tuple(out)
 
 
-def _edges(time: np.ndarray, speed: np.ndarray) -> list[int]:
+def _edges(time: np.ndarray, speed: np.ndarray, longest: float) -> list[int]:
     """Rows between which a trial is cut: near even times, where it is slowest."""
     span = float(time[-1])
-    count = max(1, int(np.ceil(span / CLOSED_LOOP.longest)))
+    count = max(1, int(np.ceil(span / longest)))
     edges = [0]
     for k in range(1, count):
-        candidates = np.flatnonzero(np.abs(time - span * k / count) < 0.2 * CLOSED_LOOP.longest)
+        candidates = np.flatnonzero(np.abs(time - span * k / count) < 0.2 * longest)
         edges.append(int(candidates[np.argmin(speed[candidates])]))
     return [*edges, len(time) - 1]
 

@@ -184,7 +184,8 @@ class WholeTrials:
 
 def whole_trials(recording: Recording, problems: Sequence[JointProblem]) -> WholeTrials:
     """The rows after the first instants of each trial count."""
-    counted = np.concatenate([t.time > 0.02 for t in recording.trials])
+    unscored = CLOSED_LOOP.unscored if recording.stretch else 0.02
+    counted = np.concatenate([t.time > unscored for t in recording.trials])
     return WholeTrials(recording, tuple(problems), blocks_of(recording), counted)
 
 

@@ -87,34 +87,56 @@ def or_rival(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLa
 
 
 def or_other_friction(trials: WholeTrials, polished: PolishedLaws) -> PolishedLaws:
-    """Take dry friction that creeps as MuJoCo's does, or that holds still, where that leaves less
+    """Take dry friction that holds still, or that creeps as MuJoCo's does where that leaves less
     once all else is fitted with it.
     """
     if not any(law.rub for law in polished.model.laws):
         return polished
     fits = tuple(f.of(f.law._replace(sharp=1.0 - f.law.sharp)) for f in polished.model.fits)
-    rival = polish_laws(trials, replace(polished.model, fits=fits), rounds=2)
-    if log_error(trials, rival) < log_error(trials, polished) - CLOSED_LOOP.gain:
-        return rival
-    return polished
+    rival = fitted_rival(trials, replace(polished.model, fits=fits), polished)
+    both = {p.model.laws[0].sharp: p for p in (polished, rival)}
+    if log_error(trials, both[0.0]) < log_error(trials, both[1.0]) - CLOSED_LOOP.gain:
+        return both[0.0]
+    return both[1.0]
 
 
 def or_plain(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
     """Drop gravity fed forward and what single joints were given beside their law, where a mass
-    at the hand does as well: pieces of single joints do not know of it.
+    at the hand, or targets that come late, do as well: pieces of single joints do not know of
+    the one, and hardly tell the other from a rotor.
     """
     model = polished.model
     additions = [(j, n) for j, f in enumerate(model.fits) for n in f.free if n not in OF_LAW]
     additions += [(SHARED_BY_ALL, "lift")] * ("lift" in model.shared)
-    if not additions or "payload" not in model.shared:
+    if not additions:
         return polished
-    start = remove_coordinates(trials, polished, additions, file)
-    fits = tuple(f.of(f.law._replace(reach=CLOSED_LOOP.tool)) for f in start.fits)
-    rival = fitted_rival(trials, replace(start, fits=fits), polished)
-    payload = rival.model.laws[0].payload
-    if payload > 0.0 and log_error(trials, rival) < log_error(trials, polished) + CLOSED_LOOP.gain:
-        return rival
-    return polished
+    plain = remove_coordinates(trials, polished, additions, file)
+    best, to_beat = polished, log_error(trials, polished) + CLOSED_LOOP.gain
+    for names in _plain_rivals(trials, plain):
+        rival = fitted_rival(trials, _with_shared(plain, names), polished)
+        if getattr(rival.model.laws[0], names[0]) > 0.0 and log_error(trials, rival) < to_beat:
+            best, to_beat = rival, log_error(trials, rival)
+    return best
+
+
+def _plain_rivals(trials: WholeTrials, model: FittedServos) -> list[tuple[str, ...]]:
+    """What all joints may share in the place of numbers of their own."""
+    allowed = allowed_by_all(trials.recording)
+    names = [CARRIED] if "payload" in model.shared else []
+    if not any(n in DELAY_NAMES for n in model.shared):
+        names += [(n,) for n in DELAY_NAMES if n in allowed]
+    return names
+
+
+def _with_shared(model: FittedServos, names: tuple[str, ...]) -> FittedServos:
+    """Free shared numbers as well, from where fits begin; a delay takes the place of a shift."""
+    if names == CARRIED:
+        start, instead = {"reach": CLOSED_LOOP.tool}, ()
+    else:
+        start, instead = {names[0]: CLOSED_LOOP.usual_delay, "shift": 0.0}, ("shift",)
+    fits = tuple(f.of(f.law._replace(**start)) for f in model.fits)
+    shared = tuple(n for n in dict.fromkeys((*model.shared, *names)) if n not in instead)
+    return FittedServos(fits, shared)
 
 
 def or_stepped(
@@ -211,6 +233,16 @@ def gain_shown(trials: WholeTrials, polished: PolishedLaws) -> tuple[bool, ...]:
     """Whether whole trials show kp at each joint, damping and limit as they are."""
     laws = polished.model.laws
     return _is_shown(trials, polished, lambda j, z: laws[j]._replace(kp=laws[j].kp * np.exp(z)))
+
+
+def damping_shown(trials: WholeTrials, polished: PolishedLaws) -> tuple[bool, ...]:
+    """Whether they show damping at each joint, kp and limit as they are."""
+    laws = polished.model.laws
+
+    def other(j: int, z: float) -> ServoLaw:
+        return laws[j]._replace(damping=laws[j].damping * np.exp(z))
+
+    return _is_shown(trials, polished, other)
 
 
 def scale_shown(trials: WholeTrials, polished: PolishedLaws) -> tuple[bool, ...]:

@@ -16,7 +16,7 @@ from scipy import signal
 
 from adaptsim_jax.simulators.closed_loop.imposed import Recording, heavier
 from adaptsim_jax.simulators.closed_loop.law import ServoLaw, put_law
-from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion, begins_at_rest, smooth
+from adaptsim_jax.simulators.closed_loop.pieces import Trial, TrialMotion
 from adaptsim_jax.simulators.mujoco.rollouts import FULL, quietly
 
 LANES = 16  # machines that are simulated at once: their paths are held in memory
@@ -102,12 +102,11 @@ def simulate_once(
 def _simulate_trial(recording, k: int, models, machines) -> list[TrialMotion]:
     trial, dt, servos = recording.trials[k], recording.whole_step, recording.servos
     qpos, dof = np.array([s.qpos for s in servos]), np.array([s.dof for s in servos])
-    motion = smooth(trial.time, trial.q)
     data = mujoco.MjData(models[0])
     data.qpos[:] = recording.pose
     for name, angle in trial.begins.items():
         data.qpos[models[0].joint(name).qposadr[0]] = angle
-    data.qvel[dof] = 0.0 if begins_at_rest(trial.q) else motion.v[0]
+    data.qvel[dof] = trial.start_speed()
     states, controls = [], []
     for model, laws in zip(models, machines, strict=True):
         u = filtered_targets(recording, k, laws)
