@@ -51,7 +51,7 @@ def test_targets_that_the_driver_cuts_are_read_as_advised(tmp_path, how):
 
     data = log(tmp_path / "a", "", ARM, trials(made))
     if how == "rate":
-        with pytest.raises(BadInput, match="not what acted.*rate") as error:
+        with pytest.raises(BadInput, match=r"not what acted.*rate") as error:
             check_commands(load(data))
         text = str(error.value)
     else:
