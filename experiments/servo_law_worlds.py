@@ -19,8 +19,11 @@ import mujoco
 import numpy as np
 
 from adaptsim_jax.attribution.diagnose import diagnose
+from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.simulators.closed_loop.imposed import heavier
 from adaptsim_jax.simulators.closed_loop.law import Servo, ServoLaw, put_law, servos_of
+from adaptsim_jax.simulators.closed_loop.recording import recording_of
+from adaptsim_jax.simulators.closed_loop.whole import simulate
 from experiments.robot_worlds import welded
 
 FINE = 2e-4  # s
@@ -298,6 +301,7 @@ def main() -> None:
             "rate": one.rate,
             "style": one.style,
             "hidden": one.hidden,
+            "moves": moves(folder, true, one),
             **judged(report, true, one),
             "seconds": round(time.monotonic() - began),
         }
@@ -349,6 +353,35 @@ SHARED = {
     "lift": ("gravity_compensation", "share"),
 }
 """Effect and parameter by number of the law."""
+
+
+NUMBER_OF = {"friction": "rub", "unloaded": "limit", "filter": "lag"}
+"""Number of the law by what a world hides, where it is not called so."""
+
+
+def moves(folder: Path, true: dict, world: World) -> dict[str, float]:
+    """By how much what is hidden beside kp and kv moves each joint that has it: RMS over whole
+    trials of the truth with it and without, times the noise. Below 1 a log hardly shows it.
+    """
+    made = recording_of(*read_source_and_log(folder, None))
+    assert made is not None
+    laws = [ServoLaw(**law)._replace(sharp=1.0) for law in true["laws"]]
+    file, out = [ServoLaw(**law) for law in true["file"]], {}
+    for extra in set(world.hidden) - {"kp", "kv"}:
+        number = NUMBER_OF.get(extra, extra)
+        has = [j for j, law in enumerate(laws) if getattr(law, number) != getattr(file[j], number)]
+        for joints in [[j] for j in has] if number == "rub" else [has]:
+            plain = [
+                law._replace(**{number: getattr(file[j], number)}) if j in joints else law
+                for j, law in enumerate(laws)
+            ]
+            with_it, without = (
+                np.concatenate([m.q for m in path]) for path in simulate(made, [laws, plain])
+            )
+            moved = np.sqrt(np.nanmean(np.square(with_it - without), 0)) / made.noise
+            place = true["names"][joints[0]] if number == "rub" else "all joints"
+            out[f"{extra} at {place}"] = round(float(moved.max()), 2)
+    return out
 
 
 def near(value: float, truth: float, share: float) -> bool:

@@ -49,7 +49,7 @@ class ClosedLoopCriteria:
     # times the noise, or what is left beyond it, by which half as long a step moves a joint that it
     # was short enough for
     stepped: float = 0.3
-    halvings: int = 2  # of the step, at most: each doubles the time of a round
+    halvings: int = 2  # of the file's step, at most: each doubles the time of a round
     settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
     shared: int = 4  # numbers that all joints share, at most
     own: int = 2  # numbers of one joint beside its law, at most

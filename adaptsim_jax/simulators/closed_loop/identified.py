@@ -209,7 +209,10 @@ def identify_servos(
         )
         polished, members = _remove_refuted(trials, polished, file, notify, keep_model)
     notify("whole trials in finer steps")
-    finer, polished = _in_settled_steps(trials, polish_laws(trials, polished.model))
+    polished = polish_laws(trials, polished.model)
+    finer = in_fine_steps(trials, polished.model.laws)
+    if finer is not trials:
+        polished = polish_laws(finer, polished.model, rounds=4)
     after = held_out_errors(finer, polished)
     shows = [f(finer, polished) for f in (gain_shown, damping_shown, scale_shown)]
     return ServoLaws(finer.recording, polished, members, before, after, finer, instead, *shows)
@@ -251,8 +254,8 @@ def in_fine_steps(trials: WholeTrials, laws: Sequence[ServoLaw]) -> WholeTrials:
     """Whole trials in steps that are halved until this moves no joint of these laws by what
     counts.
     """
-    error = trials.errors([laws])[0]
-    for _ in range(CLOSED_LOOP.halvings):
+    error, finest = trials.errors([laws])[0], trials.recording.step * 0.5**CLOSED_LOOP.halvings
+    while trials.recording.whole_step > 1.5 * finest:
         finer = replace(trials, recording=trials.recording.restepped(0.5))
         coarse_error, error = error, finer.errors([laws])[0]
         if not _is_moved(trials, coarse_error, error):
@@ -265,21 +268,6 @@ def _is_moved(trials: WholeTrials, coarse_error: np.ndarray, error: np.ndarray) 
     """Whether finer steps move a joint by what counts beside the noise and what is left."""
     moved, left = over_noise(trials, error - coarse_error), over_noise(trials, error)
     return bool((moved > CLOSED_LOOP.stepped * np.maximum(left, 1.0)).any())
-
-
-def _in_settled_steps(
-    trials: WholeTrials, polished: PolishedLaws
-) -> tuple[WholeTrials, PolishedLaws]:
-    """Whole trials in steps that are halved until this moves no joint by what counts, and the
-    servos fitted to them.
-    """
-    for _ in range(CLOSED_LOOP.halvings):
-        finer = replace(trials, recording=trials.recording.restepped(0.5))
-        error = finer.errors([polished.model.laws])[0]
-        if not _is_moved(trials, polished.errors, error):
-            break
-        trials, polished = finer, polish_laws(finer, polished.model, rounds=4)
-    return trials, polished
 
 
 def _nothing_lacking(
