@@ -365,6 +365,7 @@ def moves(folder: Path, true: dict, world: World) -> dict[str, float]:
     """
     made = recording_of(*read_source_and_log(folder, None))
     assert made is not None
+    made = made.restepped(0.25)
     laws = [ServoLaw(**law)._replace(sharp=1.0) for law in true["laws"]]
     file, out = [ServoLaw(**law) for law in true["file"]], {}
     for extra in set(world.hidden) - {"kp", "kv"}:
