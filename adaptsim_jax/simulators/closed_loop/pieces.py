@@ -144,14 +144,14 @@ def pieces_of(
 
     Of very many those remain that move most.
     """
-    out = []
+    out, most = [], round(CLOSED_LOOP.pieces * CLOSED_LOOP.longest / longest)
     for k, trial in enumerate(trials):
         speed = np.abs(smooth(trial.time, trial.q).v).max(1)
         edges = _edges(trial.time, speed, longest)
         out += [(k, a, b) for a, b in pairwise(edges) if b - a >= 8]
-    if len(out) > CLOSED_LOOP.pieces:
+    if len(out) > most:
         moves = [np.std(trials[k].q[a:b], 0).sum() for k, a, b in out]
-        chosen = np.sort(np.argsort(moves)[-CLOSED_LOOP.pieces :])
+        chosen = np.sort(np.argsort(moves)[-most:])
         out = [out[i] for i in chosen]
     return tuple(out)
 
