@@ -130,7 +130,7 @@ def test_a_late_failure_leaves_what_was_found(tmp_path, monkeypatch):
     def fails(*_):
         raise RuntimeError("late")
 
-    monkeypatch.setattr(identified, "left_out_errors", fails)
+    monkeypatch.setattr(identified, "held_out_errors", fails)
     with pytest.raises(RuntimeError, match="late"):
         diagnose(hinge_log(tmp_path / "servo", 30.0, 2.0, 0.1), out=tmp_path / "out")
     report = json.loads((tmp_path / "out" / "report.json").read_text())
