@@ -47,7 +47,7 @@ from adaptsim_jax.simulators.closed_loop.imposed import Recording
 from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
 from adaptsim_jax.simulators.closed_loop.polish import SHARED_BY_ALL
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
-from adaptsim_jax.simulators.closed_loop.whole import simulate
+from adaptsim_jax.simulators.closed_loop.whole import simulate, sums_by_piece
 
 LIFT = "gravity_compensation"
 NAMES = {
@@ -214,13 +214,13 @@ def report_on(d: ServoDiagnosis) -> Table:
     """The report alone."""
     recording, found = d.recording, d.found
     file = tuple(s.law for s in recording.servos)
-    before, after = (by_piece(found, e) for e in (found.before, found.after))
+    before, after = (by_piece(recording, e) for e in (found.before, found.after))
     null, final = ServoModel(file, (), before), ServoModel(tuple(found.laws), d.effects, after)
     named = tuple(_named(d, e) for e in d.effects)
     finding = Finding(null, final, named, (), (), (null, final))
     account = _account(d, finding)
     report = report_of(finding, account)
-    if predicts_nothing({WHOLE: measure_of(d, after)}):
+    if predicts_nothing({WHOLE: measure_of(recording, after)}):
         report["message"] = (
             f"Over {judged_over(d)} this model does no better than what needs no model. "
             f"{report['message']}"
@@ -233,11 +233,10 @@ def judged_over(d: ServoDiagnosis) -> str:
     return f"stretches of {d.recording.stretch:g} s" if d.recording.stretch else "whole trials"
 
 
-def by_piece(found: ServoLaws, error: np.ndarray) -> np.ndarray:
-    """RMS [P, n]."""
-    block = found.whole.block
-    rows = np.bincount(block[block >= 0], minlength=len(found.recording.pieces))
-    return np.sqrt(found.whole.by_piece(error) / np.maximum(rows, 1)[:, None])
+def by_piece(recording: Recording, error: np.ndarray) -> np.ndarray:
+    """RMS [P, n] of errors [rows of all trials, n]."""
+    rows = np.array([last + 1 - first for _, first, last in recording.pieces])
+    return np.sqrt(sums_by_piece(recording, error) / rows[:, None])
 
 
 def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
@@ -295,8 +294,8 @@ def _account(d: ServoDiagnosis, finding: Finding) -> Account:
         "judge": WHOLE,
         "as_filed": True,
         "why": f"it follows targets, and a closed loop can be simulated over {judged_over(d)}",
-        "declared": {WHOLE: measure_of(d, before).as_dict()},
-        "mended": {WHOLE: measure_of(d, after).as_dict()},
+        "declared": {WHOLE: measure_of(recording, before).as_dict()},
+        "mended": {WHOLE: measure_of(recording, after).as_dict()},
     }
     names = [s.name for s in recording.servos]
     error = np.sqrt(np.square(d.found.after[d.found.whole.counted]).mean(0))
@@ -532,18 +531,18 @@ def _error(d: ServoDiagnosis, before: np.ndarray, after: np.ndarray) -> Table:
     return error_rows(metric, source, names, whole, channels, trial)
 
 
-def measure_of(d: ServoDiagnosis, error: np.ndarray) -> Measure:
-    """Whole trials beside a straight line and holding still."""
+def measure_of(recording: Recording, error: np.ndarray) -> Measure:
+    """Errors [P, n] of pieces beside a straight line and holding still."""
     line, still = [], []
-    for k, a, b in d.recording.pieces:
-        t = d.recording.trials[k]
+    for k, a, b in recording.pieces:
+        t = recording.trials[k]
         q, time = t.q[a : b + 1], t.time[a : b + 1]
         still.append(np.std(q, 0))
         fit = np.polynomial.polynomial.polyfit(time - time[0], q, 1)
         rest = q - np.polynomial.polynomial.polyval(time - time[0], fit).T
         line.append(np.sqrt(np.square(rest).mean(0)))
-    servos = d.recording.servos
-    span = float(np.median([t.time[-1] for t in d.recording.trials]))
+    servos = recording.servos
+    span = float(np.median([t.time[-1] for t in recording.trials]))
     units = tuple("m" if s.slides else "rad" for s in servos)
     names = tuple(s.name for s in servos)
     left, by_line, at_rest = (np.median(z, 0) for z in (error, np.array(line), np.array(still)))

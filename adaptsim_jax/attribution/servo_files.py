@@ -2,7 +2,7 @@
 these simulate.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,8 +21,7 @@ from adaptsim_jax.mechanisms.spec import read_source
 from adaptsim_jax.mend.mjcf import Changes, mended_mjcf
 from adaptsim_jax.mend.model_toml import FILE as MODEL_FILE
 from adaptsim_jax.mend.model_toml import AddedEffect, Form, Value
-from adaptsim_jax.simulators.closed_loop.imposed import Recording
-from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, ServoLaw, inner_damping
+from adaptsim_jax.simulators.closed_loop.law import OPEN, Servo, inner_damping
 from adaptsim_jax.simulators.closed_loop.recording import recording_of
 from adaptsim_jax.simulators.closed_loop.whole import simulate, trial_errors
 
@@ -116,20 +115,16 @@ def verifier(d: ServoDiagnosis) -> Callable[[Path], Table]:
     log = d.machine.log.pick([t.name for t in d.machine.tracks])
 
     def run(file: Path | None, span: float) -> FileReplay:
-        recording = d.recording if file is None else recording_of(read_source(file), log)
+        recording = recording_of(d.source if file is None else read_source(file), log)
         assert recording is not None  # the same joints follow the same targets
-        laws = [s.law for s in recording.servos]
-        error = d.found.whole.errors([laws])[0] if file is None else _errors(d, recording, laws)
-        measure = measure_of(d, by_piece(d.found, error))
+        recording = recording.restepped(d.recording.whole_step / recording.whole_step)
+        (motions,) = simulate(recording, [[s.law for s in recording.servos]])
+        error = by_piece(recording, trial_errors(recording, motions))
+        measure = measure_of(recording, error)
         nothing = np.minimum(measure.line, measure.still)[None]
-        return FileReplay(measure.joints, measure.units, by_piece(d.found, error), nothing)
+        return FileReplay(measure.joints, measure.units, error, nothing)
 
     def verify(folder: Path) -> Table:
         return joint_errors(run, [folder / "model.xml"], {WHOLE_TRIALS: 0.0})
 
     return verify
-
-
-def _errors(d: ServoDiagnosis, recording: Recording, laws: Sequence[ServoLaw]) -> np.ndarray:
-    paths = simulate(recording, [laws])[0]
-    return trial_errors(recording, paths) * d.found.whole.counted[:, None]

@@ -182,11 +182,12 @@ def identify_servos(
     file = [s.law for s in recording.servos]
     problems = joint_problems(recording, [imposed_motion(t) for t in recording.trials], file)
     trials = whole_trials(recording, problems)
-    file, before = _with_friction(trials, file)
+    finer = in_fine_steps(trials, file)
+    file, before = _with_friction(finer, file)
     moving_joints = [j for j, p in enumerate(problems) if _is_moving(recording, j)]
-    if file_laws := _nothing_lacking(trials, file, before, moving_joints):
+    if file_laws := _nothing_lacking(finer, file, before, moving_joints):
         error = file_laws.errors
-        return ServoLaws(recording, file_laws, (), error, error, trials)
+        return ServoLaws(finer.recording, file_laws, (), error, error, finer)
     notify("one number that all servos share")
     polished, instead = one_shared(trials, file, STEP_NAMES), ()
     if polished is None:

@@ -23,6 +23,7 @@ from adaptsim_jax.simulators.closed_loop.whole import (
     blocks_of,
     simulate,
     simulate_once,
+    sums_by_piece,
     trial_errors,
 )
 
@@ -132,10 +133,7 @@ class WholeTrials:
 
     def by_piece(self, error: np.ndarray) -> np.ndarray:
         """Sums of squares [P, n]."""
-        inside = self.block >= 0
-        out = np.zeros((len(self.recording.pieces), error.shape[1]))
-        np.add.at(out, self.block[inside], np.square(error[inside]))
-        return out
+        return sums_by_piece(self.recording, error)
 
     def step_from(self, model: FittedServos, steps: np.ndarray) -> FittedServos:
         """A step [K] away."""

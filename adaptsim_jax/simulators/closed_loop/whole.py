@@ -162,3 +162,11 @@ def blocks_of(recording: Recording) -> np.ndarray:
     for i, (k, a, b) in enumerate(recording.pieces):
         out[first[k] + a : first[k] + b + 1] = i
     return out
+
+
+def sums_by_piece(recording: Recording, error: np.ndarray) -> np.ndarray:
+    """Sums of squares [P, n] of errors [rows of all trials, n]."""
+    block = blocks_of(recording)
+    out = np.zeros((len(recording.pieces), error.shape[1]))
+    np.add.at(out, block[block >= 0], np.square(error[block >= 0]))
+    return out
