@@ -235,8 +235,8 @@ def judged_over(d: ServoDiagnosis) -> str:
 
 def by_piece(recording: Recording, error: np.ndarray) -> np.ndarray:
     """RMS [P, n] of errors [rows of all trials, n]."""
-    rows = np.array([last + 1 - first for _, first, last in recording.pieces])
-    return np.sqrt(sums_by_piece(recording, error) / rows[:, None])
+    rows = sums_by_piece(recording, np.ones_like(error))
+    return np.sqrt(sums_by_piece(recording, error) / np.maximum(rows, 1.0))
 
 
 def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
