@@ -533,8 +533,8 @@ def _change(law: ServoLaw, file: ServoLaw, name: str, problem: JointProblem) -> 
     if name == "scale":
         number = "kp" if law.kp > 0.0 else "damping"
         return float(abs(np.log(getattr(law, number) / getattr(file, number))))
-    if name == "limit" and file.limit < OPEN:
-        return float(abs(np.log(law.limit / file.limit)))
+    if name == "limit":
+        return float(abs(np.log(law.limit / file.limit))) if file.limit < OPEN else np.inf
     off = abs(getattr(law, name) - getattr(file, name))
     if name == "rotor":
         return float(off / (problem.step * law.damping) * CLOSED_LOOP.min_change)
