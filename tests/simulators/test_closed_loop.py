@@ -45,6 +45,7 @@ WHEEL = """<mujoco><option timestep="0.002"/><worldbody><body name="arm">
 <joint name="turn" axis="0 0 1" armature=".05" damping=".2"/>
 <geom type="capsule" fromto="0 0 0 .2 0 0" size=".02" mass=".5"/></body></worldbody>
 <actuator><velocity name="turn" joint="turn" kv="2"/></actuator></mujoco>"""
+ARM_JOINTS = ("shoulder", "elbow")
 FINE, RATE, NOISE = 2e-4, 50, 2e-4
 
 
@@ -248,6 +249,24 @@ def test_kp_damping_and_friction_that_are_not_the_files_are_found(arm, tmp_path)
     assert mended.actuator[3] == pytest.approx(0.4 * file.actuator[3], rel=0.1)
     after, before = (np.median(replay(m, 1.0).error, 0) for m in (mended, file))
     assert np.all(after < 0.1 * before)
+
+
+def weak(joint, law):
+    """At limits that do not carry the arm's own swing."""
+    return law._replace(kp=4.0 * law.kp, damping=0.5 * law.damping, limit=1.6 - 0.9 * joint)
+
+
+@pytest.mark.long
+def test_joints_that_run_away_at_a_limit_are_judged_over_stretches(tmp_path):
+    report = diagnose(logged(tmp_path / "log", ARM, weak), out=tmp_path / "out")
+    rows = {(r["name"], r["where"]): r["parameters"] for r in report["effects"]}
+    assert set(rows) == {(n, j) for n in ("position_gain", "saturation") for j in ARM_JOINTS}
+    for j, joint in enumerate(ARM_JOINTS):
+        limit = rows["saturation", joint]["limit"]["value"]
+        assert limit == pytest.approx(1.6 - 0.9 * j, rel=0.03)
+    assert rows["position_gain", "shoulder"]["kp"]["value"] == pytest.approx(320.0, rel=0.05)
+    assert "Stretches of 1 s" in report["message"]
+    assert all(r["after"] < 0.1 * r["before"] for r in report["files"]["model.xml"])
 
 
 def test_what_lacks_nothing_is_not_searched(tmp_path):
