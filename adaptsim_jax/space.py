@@ -97,6 +97,10 @@ class Space:
         x = jnp.where(is_log.reshape(*lead, -1), jnp.exp(x), x)
         return jnp.where(jnp.asarray(self.is_categorical).reshape(*lead, -1), jnp.round(x), x)
 
+    def named(self, u: jax.Array) -> dict[str, float]:
+        """Give the physical values at `u [D]` (unit coordinates) by name."""
+        return dict(zip(self.names, map(float, np.asarray(self.physical(u))), strict=True))
+
     def unit(self, x: jax.Array) -> jax.Array:
         """Physical values `[..., D]` to unit coordinates `[..., D]`; outside Omega it
         extrapolates.

@@ -277,7 +277,6 @@ class Session:
         return float(self.task.score(trajectory)), np.asarray(self.task.observe(trajectory))
 
     def _asked(self, mean: Array, policy: Any) -> Asked:
-        names, values = self.task.space.names, np.asarray(self.task.space.physical(mean))
         act = None
         if self.task.act is not None:
             step = jax.jit(jnp.vectorize(partial(self.task.act, policy), signature="(o)->(a)"))
@@ -287,5 +286,10 @@ class Session:
 
             act = acted
 
-        params = dict(zip(names, map(float, values), strict=True))
-        return Asked(params, policy, int(self.state.told) + 1, self.loop.trials(self.state), act)
+        return Asked(
+            self.task.space.named(mean),
+            policy,
+            int(self.state.told) + 1,
+            self.loop.trials(self.state),
+            act,
+        )

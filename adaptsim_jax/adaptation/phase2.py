@@ -22,6 +22,7 @@ from adaptsim_jax.core.progress import silent
 from adaptsim_jax.learners.bdq import BDQ
 from adaptsim_jax.space import gaussian
 from adaptsim_jax.tasks.base import Task
+from adaptsim_jax.tasks.engine import filled_batches
 
 RADIUS = (
     0.6  # of Omega's ranges: how far from each other means may be whose returns tell of each other
@@ -182,13 +183,12 @@ def train_many(
     train = program or jax.jit(partial(train_one, phase1))
     total, parts = len(seeds), []
     width = at_once or seeds_at_once(phase1.task, phase1.config, total)
-    for first in range(0, total, width):
-        rows = np.minimum(np.arange(first, first + width), total - 1)  # the last is filled up
-        done, some = min(first + width, total), jax.tree.map(lambda x, r=rows: x[r], hypers)
+    for place, rows in filled_batches(total, width):
+        some = jax.tree.map(lambda x, r=rows: x[r], hypers)
         part = TrainedMany(some, *train(jnp.asarray(seeds[rows]), some))
-        progress(done, total, f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
-        parts.append(jax.tree.map(lambda x, n=done - first: x[:n], part))
-    return jax.tree.map(lambda *x: jnp.concatenate(x), *parts)
+        progress(place.stop, total, f"reward {float(part.info.final_reward[:, -1].mean()):.2f}")
+        parts.append(part)
+    return jax.tree.map(lambda *x: jnp.concatenate(x)[:total], *parts)
 
 
 def train_one(

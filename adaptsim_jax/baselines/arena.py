@@ -18,6 +18,7 @@ from jax import Array
 
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.progress import silent
+from adaptsim_jax.tasks.engine import filled_batches
 from adaptsim_jax.tasks.one_shot import OneShot, TargetWorld
 
 TOGETHER = 10  # policies trained side by side: more do not fit into a core's cache
@@ -81,16 +82,11 @@ class Arena:
         """Task policies `[B, ...]` trained on `dists [B]`, going on from `policies`: one compiled
         program for every `B`.
         """
-        B = len(keys)
-        room = jnp.minimum(
-            jnp.arange(-(-B // TOGETHER) * TOGETHER), B - 1
-        )  # the last group is filled up
-        work = jax.tree.map(lambda x: x[room], (keys, dists, policies))
-        groups = [
-            jax.tree.map(lambda x, i=i: x[i : i + TOGETHER], work)
-            for i in range(0, len(room), TOGETHER)
+        B, work = len(keys), (keys, dists, policies)
+        parts = [
+            self._train(*jax.tree.map(lambda x, rows=rows: x[rows], work))
+            for _, rows in filled_batches(B, TOGETHER)
         ]
-        parts = [self._train(*group) for group in groups]
         return jax.tree.map(lambda *x: jnp.concatenate(x)[:B], *parts)
 
     def program(self, name: Hashable, function: Callable) -> Callable:

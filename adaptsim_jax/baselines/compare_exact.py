@@ -23,7 +23,15 @@ from adaptsim_jax.baselines.bounds import (
 )
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.registry import EXACT, PROBLEMS, exact_methods
-from adaptsim_jax.baselines.results import ComparisonParts, normalised, physical, row, task_digest
+from adaptsim_jax.baselines.results import (
+    ComparisonParts,
+    TogetherComparison,
+    best_and_last,
+    normalised,
+    physical,
+    row,
+    task_digest,
+)
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.tasks.base import Task
@@ -58,10 +66,10 @@ class ExactArena(NamedTuple):
     targets: np.ndarray
 
 
-class ExactComparison:
-    """All seeds of a method run together; a method says which means of E it visited."""
+class ExactComparison(TogetherComparison):
+    """A method says which means of E it visited."""
 
-    always, begins = (), "bounds"
+    begins, not_for = "bounds", "is not for"
     bounds: Bounds
 
     def __init__(self, task_name: str, task: Task, names: list[str], config: CompareConfig):
@@ -69,18 +77,11 @@ class ExactComparison:
             raise BadInput(
                 f"compare: targets of task '{task_name}' are always its own model; leave target out"
             )
-        self.task_name, self.names, self.config, self.same = task_name, names, config, config
-        self.methods = exact_methods()
-        self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
+        super().__init__(task_name, names, config, exact_methods())
         self.digest = partial(task_digest, task)
         targets = np.array([task.space.values(task.settings[name], name) for name in names])
         problem = PROBLEMS[task_name](task.space)
         self.arena = ExactArena(task_name, config.train.task, problem, targets)
-
-    def lack(self, method: str) -> str:
-        if method in self.methods:
-            return ""
-        return f"is not for {self.task_name}; there is: {', '.join(self.methods)}"
 
     def prepare(self, parts: ComparisonParts) -> None:
         """The normalisers, computed anew: a second or so once compiled."""
@@ -92,9 +93,6 @@ class ExactComparison:
             return bound_rows(method, self.names, self.bounds, len(seeds))
         visits = EXACT[method](MethodRun(self.config, self.arena, seeds, report))
         return visiting_rows(method, self.names, self.arena, self.bounds, visits)
-
-    def rows(self, method: str, found: Table) -> list[Table]:
-        return found[method][0]
 
     def about(self, found: Table) -> Table:
         def setting(i: int) -> Table:
@@ -141,8 +139,7 @@ def visiting_rows(
     curves = normalised(best_over(cost), bounds.lower, bounds.upper)
     out = []
     for i, name in enumerate(names):
-        best = _best_means(means[i], cost[i])
-        final = means[i, :, :, -1].reshape(-1, means.shape[-1])
+        best, final = best_and_last(-cost[i], means[i])
         ratio = best_over(cost[i]).min(axis=1) / bounds.upper[i]
         gap = discrepancy(problem, best[None], arena.targets[i : i + 1])[0]
         extras = {
@@ -162,14 +159,6 @@ def best_over(costs: np.ndarray) -> np.ndarray:
     NaN never wins.
     """
     return np.min(np.where(np.isfinite(costs), costs, np.inf), axis=-2)
-
-
-def _best_means(means: np.ndarray, cost: np.ndarray) -> np.ndarray:
-    """The mean `[S, D]` with the lowest cost that each seed visited, from `[S, N, I + 1, D]` and
-    `[S, N, I + 1]`.
-    """
-    flat = np.where(np.isfinite(cost), cost, np.inf).reshape(len(cost), -1)
-    return means.reshape(len(cost), -1, means.shape[-1])[np.arange(len(cost)), flat.argmin(axis=1)]
 
 
 def bound_rows(method: str, names: list[str], bounds: Bounds, seeds: int) -> list[Table]:

@@ -15,6 +15,8 @@ from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.registry import LEARNED, ORACLE, learned_methods
 from adaptsim_jax.baselines.results import (
     ComparisonParts,
+    TogetherComparison,
+    best_and_last,
     bootstrap_interval,
     physical,
     row,
@@ -24,29 +26,22 @@ from adaptsim_jax.core.config import Table
 from adaptsim_jax.tasks.one_shot import OneShot
 
 
-class LearnedComparison:
-    """All seeds of a method run together, in an arena that counts its trials."""
+class LearnedComparison(TogetherComparison):
+    """Methods meet their targets in an arena that counts its trials."""
 
-    always, begins = (), "oracle"
+    begins, not_for = "oracle", "needs a task that is solved exactly; for"
     oracle: np.ndarray
 
     def __init__(self, one: OneShot, names: list[str], config: CompareConfig):
         space, settings = one.task.space, one.task.settings
-        self.one, self.names, self.config, self.same = one, names, config, config
-        self.task_name, self.methods = one.task.name, learned_methods()
+        super().__init__(one.task.name, names, config, learned_methods())
+        self.one = one
         self.targets = np.array([space.values(settings[name], name) for name in names])
         self.world = one.world(config.target or one.engine, **config.target_options)
-        self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
         self.shared: Table = {}
 
     def digest(self) -> str:
         return task_digest(self.one.task, self.one.scored)
-
-    def lack(self, method: str) -> str:
-        if method in self.methods:
-            return ""
-        there = ", ".join(self.methods)
-        return f"needs a task that is solved exactly; for {self.task_name} there is: {there}"
 
     def prepare(self, parts: ComparisonParts) -> None:
         """What the best actions earn in each target."""
@@ -67,9 +62,6 @@ class LearnedComparison:
         arena = Arena(self.one, self.world, self.targets)
         visits = run_method(method, MethodRun(self.config, arena, seeds, report, self.shared))
         return visits_rows(method, self.names, visits, self.oracle, arena)
-
-    def rows(self, method: str, found: Table) -> list[Table]:
-        return found[method][0]
 
     def about(self, found: Table) -> Table:
         return about(self.one, self.world.name, self.names, self.targets, self.oracle)
@@ -102,21 +94,14 @@ def visits_rows(
             "of_oracle": curves.max(axis=1).mean() / oracle[i] if oracle[i] else None,
         }
         if visits.means is not None:
-            extras |= _params(counts.one.task.space, rewards, visits.means[i])
+            best, last = best_and_last(rewards, visits.means[i])
+            space = counts.one.task.space
+            extras |= {"best_params": physical(space, best), "final_params": physical(space, last)}
         if visits.fresh is not None:
             extras["fresh"] = on_fresh(rewards, visits.fresh[i])
         ends = {"oracle": oracle[i], "target_trials": visits.target_trials}
         out.append(row(method, name, curves, **ends, **extras))
     return out
-
-
-def _params(space: Any, rewards: np.ndarray, means: np.ndarray) -> Table:
-    """Of each seed's best visit and of the last ones: the physical values that were adapted to."""
-    S = len(rewards)
-    best = rewards.reshape(S, -1).argmax(1)
-    flat = means.reshape(S, -1, space.dim)[np.arange(S), best]
-    last = means[:, :, -1].reshape(-1, space.dim)
-    return {"best_params": physical(space, flat), "final_params": physical(space, last)}
 
 
 def on_fresh(rewards: np.ndarray, fresh: np.ndarray) -> Table:

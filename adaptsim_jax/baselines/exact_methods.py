@@ -16,7 +16,7 @@ from adaptsim_jax.adaptation.analytic import Analytic, AnalyticConfig
 from adaptsim_jax.adaptation.phase1 import Phase1, Phase1Hyper, make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt_many, stack, starts_of, train_many
 from adaptsim_jax.baselines.arena import MethodRun, Visits
-from adaptsim_jax.baselines.sysid import make_sysid_bayes, make_sysid_point
+from adaptsim_jax.baselines.sysid import make_sysid, mixture_estimator, point_estimator
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.tasks.base import Task
 from adaptsim_jax.tasks.registry import make_task
@@ -171,7 +171,7 @@ def adaptsim_analytic(run: MethodRun) -> Visits:
     return Visits(np.stack(means, 1), N * (I + 1))
 
 
-def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
+def sysid(run: MethodRun, estimator: Callable, late: bool = False) -> Visits:
     """One SysID baseline; the observation is the plain one of the paper, standardised by the
     baseline itself.
     """
@@ -179,7 +179,7 @@ def sysid(run: MethodRun, make: Callable, late: bool = False) -> Visits:
     plain = {"scaling": "paper", "reference": "optimum", "observation": "late" if late else "full"}
     task = make_task(run.arena.task_name, options | plain)
     config = replace(run.config.sysid, iterations=run.config.iterations)
-    adapt = jax.jit(jax.vmap(make(task, config), in_axes=(0, None)))
+    adapt = jax.jit(jax.vmap(make_sysid(task, estimator, config), in_axes=(0, None)))
     out = []
     for i, target in enumerate(run.targets):
         keys = jax.vmap(lambda s, i=i: jax.random.fold_in(jax.random.key(s), i))(run.seeds)
@@ -211,16 +211,16 @@ def adaptsim_state(run: MethodRun) -> Visits:
 
 
 def sysid_bayes(run: MethodRun) -> Visits:
-    return sysid(run, make_sysid_bayes)
+    return sysid(run, mixture_estimator)
 
 
 def sysid_bayes_state(run: MethodRun) -> Visits:
-    return sysid(run, make_sysid_bayes, late=True)
+    return sysid(run, mixture_estimator, late=True)
 
 
 def sysid_point(run: MethodRun) -> Visits:
-    return sysid(run, make_sysid_point)
+    return sysid(run, point_estimator)
 
 
 def sysid_point_state(run: MethodRun) -> Visits:
-    return sysid(run, make_sysid_point, late=True)
+    return sysid(run, point_estimator, late=True)

@@ -113,6 +113,22 @@ def physical(space: Space, means: np.ndarray) -> np.ndarray:
     return np.asarray(space.physical(jnp.asarray(means, jnp.float32)))
 
 
+def best_and_last(rewards: np.ndarray, means: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Pick means of E from a method's visits in one target.
+
+    Args:
+        rewards: `[S, N, I + 1]`; one that is not finite is never the best.
+        means: `[S, N, I + 1, D]`.
+
+    Returns:
+        The mean `[S, D]` of each seed's best visit, and those `[S N, D]` of all last visits.
+    """
+    S, D = len(means), means.shape[-1]
+    flat = np.where(np.isfinite(rewards), rewards, -np.inf).reshape(S, -1)
+    best = means.reshape(S, -1, D)[np.arange(S), flat.argmax(1)]
+    return best, means[:, :, -1].reshape(-1, D)
+
+
 def plain(value: Any) -> Any:
     """The same as Python numbers, lists and dicts; what is not finite, or fails, becomes None."""
     if isinstance(value, dict):
@@ -128,6 +144,35 @@ def plain(value: Any) -> Any:
     if isinstance(value, np.integer):
         return int(value)
     return value
+
+
+class TogetherComparison:
+    """A comparison in which all seeds of a method run together and give its rows at once.
+
+    Args:
+        names: Of the settings. methods: Rows that there may be.
+    """
+
+    always: tuple[str, ...] = ()
+    not_for: str
+    """What keeps another method from the task that is named behind it."""
+
+    def __init__(
+        self, task_name: str, names: list[str], config: CompareConfig, methods: tuple[str, ...]
+    ):
+        self.task_name, self.names, self.config, self.same = task_name, names, config, config
+        self.methods = methods
+        self.groups = [("", np.arange(config.seed, config.seed + config.seeds))]
+
+    def lack(self, method: str) -> str:
+        """Say what keeps `method` from this task, nothing where it has it."""
+        if method in self.methods:
+            return ""
+        return f"{self.not_for} {self.task_name}; there is: {', '.join(self.methods)}"
+
+    def rows(self, method: str, found: Table) -> list[Table]:
+        """The method's rows among what was found, one for each setting."""
+        return found[method][0]
 
 
 FOLDER = "unfinished"

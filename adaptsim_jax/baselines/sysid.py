@@ -86,18 +86,36 @@ class SysIdState(NamedTuple):
     count: Array
 
 
-def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callable:
-    """`adapt(key, target [D] physical) -> means of E [iterations + 1, D]` (unit coordinates, from
-    the start at the centre), pure: jit it, and vmap it over keys and targets.
+def make_sysid(
+    task: Task, estimator: Callable[[int, SysIdConfig], Estimator], config: SysIdConfig
+) -> Callable:
+    """Make the loop for targets of the task's own model.
+
+    Args:
+        estimator: `mixture_estimator` or `point_estimator`.
+
+    Returns:
+        `adapt(key, target [D] physical) -> means of E [iterations + 1, D]` (unit coordinates, from
+        the start at the centre), pure: jit it, and vmap it over keys and targets.
     """
+    network = estimator(task.space.dim, config)
 
     def adapt(key: Array, target: Array) -> Array:
         start_key, first_key, rest_key = jax.random.split(key, 3)
-        begun = start(start_key, task, estimator, config)
-        first = _iterate(first_key, begun, target, task, estimator, config, config.first_fit)
+        policy_key, train_key, net_key = jax.random.split(start_key, 3)
+        begun = untrained(net_key, policy_key, task, network, config)
+        begun = begun._replace(policy=task.train(train_key, begun.dist, begun.policy))
+
+        def iterate(key, state, fit_config):
+            real_key, *keys, train_key = jax.random.split(key, 5)
+            real = task.observe(task.rollout(real_key, state.policy, target))
+            inferred = infer(keys, state, real, task, network, config, fit_config)
+            return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy))
+
+        first = iterate(first_key, begun, config.first_fit)
 
         def one(state, step_key):
-            after = _iterate(step_key, state, target, task, estimator, config, config.next_fit)
+            after = iterate(step_key, state, config.next_fit)
             return after, after.dist.mean
 
         keys = jax.random.split(rest_key, config.iterations - 1)
@@ -107,30 +125,16 @@ def make_sysid(task: Task, estimator: Estimator, config: SysIdConfig) -> Callabl
     return adapt
 
 
-def start(key: Array, task: Task, estimator: Estimator, config: SysIdConfig) -> SysIdState:
-    """Before any data of the target: E at the centre of Omega, a policy trained there."""
-    policy_key, train_key, net_key = jax.random.split(key, 3)
-    state = untrained(net_key, policy_key, task, estimator, config)
-    return state._replace(policy=task.train(train_key, state.dist, state.policy))
-
-
 def untrained(
     net_key, policy_key, task: Task, estimator: Estimator, config: SysIdConfig
 ) -> SysIdState:
-    """The same with the policy as the task starts it."""
+    """Before any data of the target: E at the centre of Omega, the policy as the task starts it."""
     D = task.space.dim
     dist = Gaussian(jnp.full(D, 0.5), jnp.full(D, config.least_std))
     variables = estimator.init(net_key, task.obs_dim)
     draws = jax.eval_shape(estimator.infer, net_key, variables, jnp.zeros(task.obs_dim)).shape
     collected = jnp.zeros((config.iterations, *draws))
     return SysIdState(dist, task.init_policy(policy_key), variables, collected, jnp.zeros((), int))
-
-
-def _iterate(key, state, target, task, estimator, config, fit_config) -> SysIdState:
-    real_key, *keys, train_key = jax.random.split(key, 5)
-    real = task.observe(task.rollout(real_key, state.policy, target))
-    inferred = infer(keys, state, real, task, estimator, config, fit_config)
-    return inferred._replace(policy=task.train(train_key, inferred.dist, state.policy))
 
 
 def infer(keys, state: SysIdState, real: Array, task, estimator, config, fit_config) -> SysIdState:
@@ -151,11 +155,10 @@ def infer(keys, state: SysIdState, real: Array, task, estimator, config, fit_con
     )
     draws = estimator.infer(infer_key, variables, (real - shift) / scale)
     collected = state.collected.at[state.count].set(draws)
-    used = collected if config.pool else draws[None]
     if config.pool:
-        marked = jnp.arange(collected.shape[0]) <= state.count
+        used, marked = collected, jnp.arange(collected.shape[0]) <= state.count
     else:
-        marked = jnp.ones(1, bool)
+        used, marked = draws[None], jnp.ones(1, bool)
     dist, _ = within_omega(used, marked, config.least_std)
     return SysIdState(dist, state.policy, variables, collected, state.count + 1)
 
@@ -196,7 +199,9 @@ def within_omega(draws: Array, marked: Array, least_std: float) -> tuple[Gaussia
 
 
 def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
-    """Full-covariance mixture over unit coordinates; infers by drawing from it."""
+    """Make the network of SysID-Bayes: a full-covariance mixture over unit coordinates, which
+    infers by drawing from it. The policy follows the mean of these draws within Omega.
+    """
     network: Any = mdn.MixtureNetwork(dim, config.components, config.hidden)
 
     def init(key: Array, obs_dim: int) -> Any:
@@ -209,11 +214,6 @@ def mixture_estimator(dim: int, config: SysIdConfig) -> Estimator:
         return mdn.sample(key, network.apply(variables, x), config.draws)
 
     return Estimator(init, loss, infer)
-
-
-def make_sysid_bayes(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """As `make_sysid`; the policy follows the mean of the posterior within Omega."""
-    return make_sysid(task, mixture_estimator(task.space.dim, config), config)
 
 
 class PointNetwork(nn.Module):
@@ -232,7 +232,9 @@ class PointNetwork(nn.Module):
 
 
 def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
-    """Smooth-L1 regression; infers the one point that it regresses to."""
+    """Make the network of SysID-Point: smooth-L1 regression, which infers the one point that it
+    regresses to. The policy is trained at the newest point.
+    """
     network: Any = PointNetwork(dim, config.hidden)
 
     def init(key: Array, obs_dim: int) -> Any:
@@ -246,8 +248,3 @@ def point_estimator(dim: int, config: SysIdConfig) -> Estimator:
         return network.apply(variables, x)[None]
 
     return Estimator(init, loss, infer)
-
-
-def make_sysid_point(task: Task, config: SysIdConfig = SysIdConfig()) -> Callable:
-    """As `make_sysid`; the policy is trained at the newest point."""
-    return make_sysid(task, point_estimator(task.space.dim, config), config)

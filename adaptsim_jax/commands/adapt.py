@@ -86,7 +86,6 @@ def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Name
     physical = np.asarray(task.space.physical(result.history.mean))
     reward = np.asarray(result.history.reward)
     target = dict(zip(names, map(float, params), strict=True))
-    best = np.asarray(task.space.physical(result.mean)).tolist()
     history = [
         [
             {
@@ -106,7 +105,7 @@ def describe(result: Any, task: Any, name: str, params: Any, args: argparse.Name
         "best": {
             "reward": number(result.reward),
             "score": number(result.score),
-            "params": dict(zip(names, best, strict=True)),
+            "params": task.space.named(result.mean),
             "policy": without_nan(leaves_by_name(result.policy)),
         },
         "final": [number(row[-1]) for row in reward],

@@ -207,8 +207,7 @@ def record(args: argparse.Namespace, session: RobotSession) -> None:
             )
             break
     after = [*history, entry | session.kind.robot.remember(session, tried, trajectory)]
-    sessions.keep(session, before, history)
-    sessions.save(session, state, after)
+    sessions.advance(session, (before, history), (state, after))
     best = ", the best so far" if bool(info.best) else ""
     print(f"{turn} {len(after)} of {total}: return {float(info.score):.6g}{best}")
     session.kind.robot.comment(session, tried, state, trajectory, len(after) >= total)
@@ -235,8 +234,7 @@ def failed(args: argparse.Namespace, session: RobotSession) -> None:
                 for _ in range(given_up)
             ),
         ]
-        sessions.keep(session, before, history)
-        sessions.save(session, state, after)
+        sessions.advance(session, (before, history), (state, after))
         if given_up > 1:
             rest = f"; with it {given_up - 1} more of the same start are given up"
         else:
@@ -251,22 +249,18 @@ def undo(args: argparse.Namespace, session: RobotSession) -> None:
     from adaptsim_jax.core.errors import BadInput
 
     _, history = sessions.load(session)
-    snapshots = sorted(
-        (session.folder / UNDO).glob("*"),
-        key=lambda path: int(path.name) if path.name.isdigit() else -1,
-    )
-    snapshots = [
-        path for path in snapshots if path.name.isdigit() and int(path.name) < len(history)
-    ]
-    if not snapshots:
+    kept = [path for path in (session.folder / UNDO).glob("*") if path.name.isdigit()]
+    kept = [path for path in kept if int(path.name) < len(history)]
+    if not kept:
         if not history:
             what = "nothing was recorded yet"
         else:
             what = "it was recorded by a version that kept no way back"
         raise BadInput(f"{session.folder}: no record can be taken back: {what}")
-    state, earlier = sessions.load(session, snapshots[-1])
+    last = max(kept, key=lambda path: int(path.name))
+    state, earlier = sessions.load(session, last)
     sessions.save(session, state, earlier)
-    shutil.rmtree(snapshots[-1])
+    shutil.rmtree(last)
     (session.folder / "best.toml").unlink(missing_ok=True)
     gone = history[len(earlier)]
     what = gone["file"] or "a failure"

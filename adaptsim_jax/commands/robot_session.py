@@ -147,9 +147,14 @@ def make_session(folder: Path, table: Table) -> RobotSession:
     return RobotSession(folder, table, trained, loop, run.config.get("task", {}), TASKS[run.task])
 
 
-def keep(session: RobotSession, state: Any, history: list[Table]) -> None:
-    """Keep what is about to be recorded over, for `undo`."""
-    save(session, state, history, session.folder / UNDO / str(len(history)))
+Record = tuple[Any, list[Table]]
+"""A state and the history that led to it."""
+
+
+def advance(session: RobotSession, before: Record, after: Record) -> None:
+    """Save what is so after a turn, and keep what was so before it for `undo`."""
+    save(session, *before, session.folder / UNDO / str(len(before[1])))
+    save(session, *after)
 
 
 def _bound(table: Table) -> str:

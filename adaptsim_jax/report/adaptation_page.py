@@ -121,22 +121,24 @@ def _scale(results: Mapping) -> str:
     return _NORMALISED.format(beside=note, starts=results["starts"])
 
 
-def _cell(r: Mapping) -> dict[str, str]:
-    def number(v):
-        if v is None:
-            return "fails"
-        return f"{v:.2f}"
+def two_digits(reward: float | None) -> str:
+    """Write a reward, None for one of a policy that destabilised the target."""
+    if reward is None:
+        return "fails"
+    return f"{reward:.2f}"
 
+
+def _cell(r: Mapping) -> dict[str, str]:
     if r["low"] == r["high"]:
         spread = ""
     else:
-        spread = f"{number(r['low'])} to {number(r['high'])}"
+        spread = f"{two_digits(r['low'])} to {two_digits(r['high'])}"
     value = "" if r["mean"] is None else f"{r['mean']:.6g}"
     return {
-        "mean": number(r["mean"]),
+        "mean": two_digits(r["mean"]),
         "value": value,
         "spread": spread,
-        "final": number(r["final_mean"]),
+        "final": two_digits(r["final_mean"]),
     }
 
 

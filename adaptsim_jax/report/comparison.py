@@ -7,7 +7,7 @@ from pathlib import Path
 
 from adaptsim_jax.core.files import output_folder, write_bytes, write_json
 from adaptsim_jax.report import figures as look
-from adaptsim_jax.report.adaptation_page import write_adaptation_page
+from adaptsim_jax.report.adaptation_page import two_digits, write_adaptation_page
 
 
 def write_comparison(results: Mapping, out: str | Path) -> list[Path]:
@@ -57,7 +57,7 @@ def _over_seeds(across) -> list[str]:
         across(lambda r: _spread(r, "median", "q25", "q75")),
         "Mean over seeds at the last iteration, and in brackets the best mean of any one "
         "iteration:",
-        across(lambda r: f"{_number(r['final_mean'])} ({_number(r['best_iteration_mean'])})"),
+        across(lambda r: f"{two_digits(r['final_mean'])} ({two_digits(r['best_iteration_mean'])})"),
     ]
 
 
@@ -71,7 +71,7 @@ def _by_trials(results: Mapping, across) -> list[str]:
     note = " (one seed, no interval)" if one else ", mean over seeds [95 % interval]"
     parts = [
         f"What is deployed after all trials{note}:",
-        across(lambda r: _number(r["mean"]) if one else _spread(r, "mean", "low", "high")),
+        across(lambda r: two_digits(r["mean"]) if one else _spread(r, "mean", "low", "high")),
         "The return itself, mean over seeds:" if not one else "The return itself:",
         across(_returns),
     ]
@@ -81,7 +81,7 @@ def _by_trials(results: Mapping, across) -> list[str]:
         def cell(at):
             if at is None:
                 return ""
-            return _number(at["mean"])
+            return two_digits(at["mean"])
 
         cells = {(r["method"], b): cell(r["at"][b]) for r in mine for b in budgets}
         methods = [r["method"] for r in mine]
@@ -95,15 +95,15 @@ def _by_trials(results: Mapping, across) -> list[str]:
 def _of_one(across) -> list[str]:
     return [
         "Best iteration (one seed, no interval):",
-        across(lambda r: _number(r["mean"])),
+        across(lambda r: two_digits(r["mean"])),
         "Last iteration (one seed):",
-        across(lambda r: _number(r["final_mean"])),
+        across(lambda r: two_digits(r["final_mean"])),
     ]
 
 
 def _spread(r: Mapping, *keys: str) -> str:
     """The number and what it is within; of one seed among rows of several, the number alone."""
-    middle, low, high = (_number(r[key]) for key in keys)
+    middle, low, high = (two_digits(r[key]) for key in keys)
     if look.one_seed([r]):
         return f"{middle} (one seed)"
     return f"{middle} [{low}, {high}]"
@@ -121,12 +121,6 @@ def _grid(head, methods, cell, settings, cells) -> str:
 def _trials(rows, methods) -> str:
     counts = {m: next(r["target_trials"] for r in rows if r["method"] == m) for m in methods}
     return ", ".join(f"{look.label(m)} {n}" for m, n in counts.items() if n is not None)
-
-
-def _number(value: float | None) -> str:
-    if value is None:
-        return "fails"
-    return f"{value:.2f}"
 
 
 def _returns(r: Mapping) -> str:
@@ -154,7 +148,7 @@ def _fresh(rows, across) -> list[str]:
     def best(r):
         if "fresh" not in r:
             return "-"
-        mean, low, high = (_number(r["fresh"][key]) for key in ("mean", "low", "high"))
+        mean, low, high = (two_digits(r["fresh"][key]) for key in ("mean", "low", "high"))
         if look.one_seed([r]):
             return mean
         return f"{mean} [{low}, {high}]"
@@ -164,7 +158,7 @@ def _fresh(rows, across) -> list[str]:
         "interval of the mean over seeds]:",
         across(best),
         "Those of the last iteration, of all starts, in fresh contexts:",
-        across(lambda r: _number(r["fresh"]["final_mean"]) if "fresh" in r else "-"),
+        across(lambda r: two_digits(r["fresh"]["final_mean"]) if "fresh" in r else "-"),
     ]
 
 
@@ -181,5 +175,5 @@ def _failures(rows) -> list[str]:
 
 def _discrepancy(r: Mapping) -> str:
     if "discrepancy" in r:
-        return _number(r["discrepancy"]["median"])
+        return two_digits(r["discrepancy"]["median"])
     return "-"

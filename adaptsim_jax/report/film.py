@@ -71,6 +71,27 @@ class Scene:
     stage: Callable[[Any], Stage]
 
 
+def captioned(moment: Moment, left: float, right: float, height: float) -> Any:
+    """Begin a drawing of 640 by 360 pixels with the moment's text and time.
+
+    Args:
+        left, right, height: Shares of the figure, where the text begins, the time ends and both
+            stand.
+
+    Returns:
+        The figure, to which axes are added.
+    """
+    from matplotlib.figure import Figure
+
+    from adaptsim_jax.report import figures as look
+
+    figure = Figure(figsize=(6.4, 3.6), dpi=100, facecolor="white")
+    figure.text(left, height, moment.text, fontsize=11, color=look.INK)
+    time = f"{moment.time:.2f} s"
+    figure.text(right, height, time, fontsize=11, color=look.MUTED, ha="right")
+    return figure
+
+
 def write_film(scene: Scene, clips: Sequence[Any], folder: Path) -> tuple[Path, str]:
     """`(path, how)`: the film in `folder`, mp4 with the extra `[video]`, else gif; and a line that
     says what drew it.

@@ -42,11 +42,14 @@ def asked_trials(turn: Any, contexts: Any, actions: Any) -> AskedTrials:
     return AskedTrials(numbers, np.asarray(contexts), np.asarray(actions))
 
 
-def corrected_by(policy: Any, kind: type, bounds: Any, actions: Any, ended: Any) -> Any:
-    """The policy corrected by trials that all count, `kind(actions in [-1, 1], how they ended,
-    used)`, where there are any. `actions [K, d]` lie between the two `bounds [d]`.
+def corrected_by(
+    policy: Any, config: Any, kind: type, bounds: Any, actions: Any, ended: Any
+) -> Any:
+    """The policy as it is deployed after trials that all count: corrected by them, `kind(actions in
+    [-1, 1], how they ended, used)`, where there are any and the task does that (`correct`).
+    `actions [K, d]` lie between the two `bounds [d]`.
     """
-    if not len(actions):
+    if not (config.correct and len(actions)):
         return policy
     low, high = map(np.asarray, bounds)
     own = (2.0 * np.asarray(actions, float) - low - high) / (high - low)
@@ -192,8 +195,7 @@ def config_of(session: RobotSession) -> Any:
 
 def physical(session: RobotSession, mean: Any) -> dict[str, float]:
     """Parameters by name at the mean `[D]` of E."""
-    space = session.trained.phase1.task.space
-    return dict(zip(space.names, map(float, space.physical(mean)), strict=True))
+    return session.trained.phase1.task.space.named(mean)
 
 
 def print_parameters(session: RobotSession, before: Any, after: Any) -> None:

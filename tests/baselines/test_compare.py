@@ -14,7 +14,13 @@ from adaptsim_jax.baselines.compare_exact import best_over
 from adaptsim_jax.baselines.config import CompareConfig
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.registry import exact_methods
-from adaptsim_jax.baselines.results import bootstrap_interval, normalised, plain, row
+from adaptsim_jax.baselines.results import (
+    best_and_last,
+    bootstrap_interval,
+    normalised,
+    plain,
+    row,
+)
 from adaptsim_jax.baselines.sysid import SysIdConfig
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.report.comparison import write_comparison
@@ -130,6 +136,14 @@ def test_normalisation_by_hand():
 def test_best_of_the_distributions_ignores_what_failed():
     costs = np.array([[[3.0, np.nan, np.inf], [2.0, 5.0, np.nan]]])
     np.testing.assert_array_equal(best_over(costs), [[2.0, 5.0, np.inf]])
+
+
+def test_best_and_last_means_by_hand():
+    rewards = np.array([[[0.1, np.nan], [0.4, 0.2]], [[np.inf, -1.0], [-3.0, -2.0]]])
+    means = np.arange(8.0).reshape(2, 2, 2, 1)
+    best, last = best_and_last(rewards, means)
+    np.testing.assert_array_equal(best, [[2.0], [5.0]])
+    np.testing.assert_array_equal(last, [[1.0], [3.0], [5.0], [7.0]])
 
 
 def test_row_statistics_by_hand():

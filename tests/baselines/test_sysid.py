@@ -12,8 +12,9 @@ import pytest
 from adaptsim_jax.baselines.mdn import FitConfig
 from adaptsim_jax.baselines.sysid import (
     SysIdConfig,
-    make_sysid_bayes,
-    make_sysid_point,
+    make_sysid,
+    mixture_estimator,
+    point_estimator,
     simulate,
     within_omega,
 )
@@ -31,11 +32,11 @@ CONFIG = SysIdConfig(
 )
 
 
-@pytest.fixture(scope="module", params=[make_sysid_bayes, make_sysid_point])
+@pytest.fixture(scope="module", params=[mixture_estimator, point_estimator])
 def outcome(request):
     task = probe_task()
     targets = jnp.array([SPACE.values(t) for t in task.settings.values()], jnp.float32)
-    run = jax.jit(jax.vmap(jax.vmap(request.param(task, CONFIG), (0, None)), (None, 0)))
+    run = jax.jit(jax.vmap(jax.vmap(make_sysid(task, request.param, CONFIG), (0, None)), (None, 0)))
     return run(jax.random.split(jax.random.key(0), 3), targets)
 
 
@@ -60,7 +61,7 @@ def test_never_leaves_omega(outcome):
 @pytest.mark.slow
 def test_seeds_differ_and_repeat():
     task, target = probe_task(), jnp.array([1.3, 26.0])
-    run = jax.jit(make_sysid_point(task, CONFIG))
+    run = jax.jit(make_sysid(task, point_estimator, CONFIG))
     a, b, c = (
         run(jax.random.key(0), target),
         run(jax.random.key(0), target),

@@ -24,6 +24,12 @@ def test_unit_and_physical_by_hand():
     np.testing.assert_allclose(MIXED.unit(jnp.array([1.25, 1e5, 1.0])), [0.25, 0.5, 0.5], atol=1e-6)
 
 
+def test_values_are_named_as_plain_numbers():
+    named = MIXED.named(jnp.array([0.25, 0.5, 0.6]))
+    assert named == {"m": 1.25, "e": pytest.approx(1e5, rel=1e-5), "g": 1.0}
+    assert all(type(value) is float for value in named.values())
+
+
 def test_targets_outside_the_box_extrapolate():
     np.testing.assert_allclose(MIXED.unit(jnp.array([0.3, 1e7, 0.0])), [-0.7, 1.5, 0.0], atol=1e-5)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.report.film import Moment, Scene, Stage, camera, light
+from adaptsim_jax.report.film import Moment, Scene, Stage, camera, captioned, light
 from adaptsim_jax.tasks.pushing import model as pushing
 
 EVERY = 2  # rows a frame, at 20 frames a second: 0.4 times real time
@@ -54,17 +54,11 @@ def plate_edge(clip: PushClip, row: int) -> tuple[np.ndarray, float]:
 
 def drawing(clip: PushClip) -> Callable[[Moment], Any]:
     """The table from above and from the side, 5 inches to the metre in both."""
-    from matplotlib.figure import Figure
-
-    from adaptsim_jax.report import figures as look
 
     def draw(moment: Moment) -> Any:
-        figure = Figure(figsize=(6.4, 3.6), dpi=100, facecolor="white")
+        figure = captioned(moment, 0.125, 0.906, 0.945)
         _draw_above(figure.add_axes((0.125, 0.365, 0.78125, 2.0 / 3.6)), clip, moment.row)
         _draw_side(figure.add_axes((0.125, 0.075, 0.78125, 0.9 / 3.6)), clip, moment.row)
-        figure.text(0.125, 0.945, moment.text, fontsize=11, color=look.INK)
-        time = f"{moment.time:.2f} s"
-        figure.text(0.906, 0.945, time, fontsize=11, color=look.MUTED, ha="right")
         return figure
 
     return draw

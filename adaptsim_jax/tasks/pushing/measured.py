@@ -74,10 +74,8 @@ def corrected(
     """The policy as it is deployed after pushes `actions [K, 2]` (m/s, rad) whose bottles ended at
     `places [K, 2]` m: corrected by them where the task does that (`correct`), else as it is.
     """
-    if not config.correct:
-        return policy
     bounds = (model.ACTION_LOW, model.ACTION_HIGH)
-    return corrected_by(policy, PushRecord, bounds, actions, places)
+    return corrected_by(policy, config, PushRecord, bounds, actions, places)
 
 
 def read_policy(path: str | Path) -> Callable[[Any], np.ndarray]:

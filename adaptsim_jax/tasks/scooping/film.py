@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from adaptsim_jax.report.film import Moment, Scene, Stage, camera, light
+from adaptsim_jax.report.film import Moment, Scene, Stage, camera, captioned, light
 from adaptsim_jax.tasks.scooping import model
 
 FRAMES = 50  # of a trial, at 20 a second: 0.4 times real time
@@ -109,16 +109,10 @@ def draw_scoop(ax: Any, clip: ScoopClip, row: int) -> None:
 
 def drawing(clip: ScoopClip) -> Callable[[Moment], Any]:
     """The spatula from the side, the view going with it."""
-    from matplotlib.figure import Figure
-
-    from adaptsim_jax.report import figures as look
 
     def draw(moment: Moment) -> Any:
-        figure = Figure(figsize=(6.4, 3.6), dpi=100, facecolor="white")
+        figure = captioned(moment, 0.025, 0.975, 0.925)
         draw_scoop(figure.add_axes((0.0, 0.0, 1.0, 1.0)), clip, moment.row)
-        figure.text(0.025, 0.925, moment.text, fontsize=11, color=look.INK)
-        time = f"{moment.time:.2f} s"
-        figure.text(0.975, 0.925, time, fontsize=11, color=look.MUTED, ha="right")
         return figure
 
     return draw

@@ -54,10 +54,8 @@ def corrected(
     """The policy as it is deployed after scoops `actions [K, 3]` (rad, rad/s, m) of which `won [K]`
     (1 or 0) succeeded: corrected by them where the task does that (`correct`), else as it is.
     """
-    if not config.correct:
-        return policy
     bounds = (model.ACTION_LOW, model.ACTION_HIGH)
-    return corrected_by(policy, ScoopRecord, bounds, actions, won)
+    return corrected_by(policy, config, ScoopRecord, bounds, actions, won)
 
 
 def policy_table(policy: ScoopingPolicy, config: ScoopingConfig) -> Table:

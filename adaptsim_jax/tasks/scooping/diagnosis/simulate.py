@@ -19,6 +19,7 @@ import numpy as np
 
 from adaptsim_jax.core.parallel import cores
 from adaptsim_jax.tasks.camera_effects import happened, viewed
+from adaptsim_jax.tasks.engine import filled_batches
 from adaptsim_jax.tasks.scooping import hydro, model
 from adaptsim_jax.tasks.scooping import hydro_contact as contact
 from adaptsim_jax.tasks.scooping import hydro_shapes as shapes
@@ -140,13 +141,12 @@ def poses(
     g = np.full(LANES, float(SHAPES.index(shape)), np.float32)
     given = [np.asarray(a, np.float32) for a in (values, actions, scooped.aside[trials])]
 
-    def lot(k):
-        lanes = np.minimum(np.arange(k, k + LANES), count - 1)
-        v, a, aside = (z[lanes] for z in given)
-        return np.asarray(program(v, g, a, aside))[: count - k]
+    def lot(batch):
+        v, a, aside = (z[batch[1]] for z in given)
+        return np.asarray(program(v, g, a, aside))
 
     with ThreadPoolExecutor(cores()) as pool:
-        return np.concatenate(list(pool.map(lot, range(0, count, LANES))))
+        return np.concatenate(list(pool.map(lot, filled_batches(count, LANES))))[:count]
 
 
 def observed(values: Array, poses: Array, start: Array, aside: Array, time: Array) -> Array:
