@@ -94,7 +94,7 @@ def assemble(path: str, raw: list[RawTrial], model: ModelNames | None, meta: Log
         + even_notes
         + unit_notes
         + copy_notes
-        + unread(path),
+        + unread(meta.data or path),
         held=held,
     )
 

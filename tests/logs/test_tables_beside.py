@@ -167,3 +167,12 @@ def test_places_of_exported_arrays_are_joints(tmp_path):
     np.testing.assert_array_equal(begun.log.trials[0].q, M["q"])
     np.testing.assert_array_equal(begun.log.trials[0].u, M["tau"])
     assert begun.unused == ("field.header.seq",)
+
+
+def test_a_folder_that_meta_names_as_its_data_was_read(tmp_path):
+    data = runs(tmp_path / "logs" / "log")
+    (data / "meta.toml").rename(tmp_path / "logs" / "meta.toml")
+    meta = tmp_path / "logs" / "meta.toml"
+    meta.write_text('data = "log"\n' + meta.read_text())
+    log = read_log(tmp_path / "logs", ARM)
+    assert len(log.trials) == 2 and not any("not read" in note for note in log.notes)
