@@ -11,6 +11,7 @@ import importlib.metadata
 import io
 import json
 import platform
+import re
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -49,6 +50,17 @@ def run(args: argparse.Namespace) -> int:
 
 PACKAGES = tuple("jax jaxlib flax optax numpy scipy mujoco mujoco-mjx matplotlib drake".split())
 
+EXTRAS = {
+    "drake": "Drake as a reference engine",
+    "environments": "environments of Playground, Brax and gymnax",
+    "ros": "bags of ROS 1 and 2, MCAP",
+    "lerobot": "data sets of LeRobot",
+    "sbi": "sbi's estimators beside ours",
+    "video": "films as MP4",
+    "cluster": "sweeps over hosts by Ray",
+}
+"""What each optional part is for."""
+
 _SCENE = """<mujoco><option timestep="0.002"/><worldbody><body><joint name="hinge" type="hinge" axis="0 1 0"/>
 <geom type="capsule" fromto="0 0 0 0 0 -1" size="0.05" mass="1"/></body></worldbody></mujoco>"""  # noqa: E501
 
@@ -69,6 +81,7 @@ def examine() -> Table:
         "versions": versions,
         "devices": _devices(),
         "backends": backends,
+        "absent_extras": [name for name in EXTRAS if not _has_extra(name)],
         "compile_cache": {"folder": str(process.cache_folder()), "files": files, "bytes": size},
     }
     found["faults"] = _faults(found)
@@ -95,6 +108,9 @@ def show(found: Table) -> None:
         else:
             mark = "[yellow]absent[/yellow]"
         console.print(f"  {name:8} {mark}  {escape(backend['note'])}")
+    for name in found["absent_extras"]:
+        mend = f'pip install "adaptsim_jax[{name}]"'
+        console.print(f"  {name:12} not installed: {EXTRAS[name]}; {mend}", markup=False)
     cache = found["compile_cache"]
     console.print(
         f"cache      {cache['folder']} ({cache['files']} files, {cache['bytes'] / 1e6:.1f} MB); "
@@ -111,6 +127,13 @@ def _version(name: str) -> str | None:
         return importlib.metadata.version(name)
     except importlib.metadata.PackageNotFoundError:
         return None
+
+
+def _has_extra(name: str) -> bool:
+    """Whether every package that an optional part asks for is installed."""
+    lines = importlib.metadata.requires("adaptsim_jax") or []
+    asked = [line for line in lines if re.search(f"extra == [\"']{name}[\"']", line)]
+    return all(_version(re.split(r"[^\w.-]", line)[0]) for line in asked)
 
 
 def _devices() -> list[str]:
