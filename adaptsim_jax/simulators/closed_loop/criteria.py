@@ -13,7 +13,7 @@ class ClosedLoopCriteria:
     # s, of stretches where joints run away from pieces: at a limit no loop is closed, and what is
     # wrong of a force grows with the square of time
     stretch: float = 1.0
-    runaway: float = 10.0  # times the noise, that a fitted joint leaves which may run away
+    runaway: float = 20.0  # times the noise, that a fitted joint leaves which may run away
     calmer: float = 0.4  # log of what stretches must leave less at least, joints' mean
     pieces: int = 28  # at most, those that move most: more cost time and tell little more
     start_pieces: int = 10  # the same where fits begin
@@ -49,7 +49,7 @@ class ClosedLoopCriteria:
     # times the noise, or what is left beyond it, by which half as long a step moves a joint that it
     # was short enough for
     stepped: float = 0.3
-    halvings: int = 2  # of the file's step, at most: each doubles the time of a round
+    halvings: int = 1  # of the step, at most: each doubles the time of a round
     settled: float = 1e-3  # of the loss: a round over whole trials that takes off less is the last
     shared: int = 4  # numbers that all joints share, at most
     own: int = 2  # numbers of one joint beside its law, at most
