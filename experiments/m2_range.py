@@ -12,7 +12,7 @@ from ranges import adaptsim_over_ranges, sysid_over_ranges
 
 from adaptsim_jax.baselines.bounds import costs, pendulum_problem
 from adaptsim_jax.baselines.compare_exact import find_bounds
-from adaptsim_jax.baselines.sysid import make_sysid_bayes, make_sysid_point
+from adaptsim_jax.baselines.sysid import mixture_estimator, point_estimator
 from adaptsim_jax.core.progress import progress
 from adaptsim_jax.report import figures as look
 from adaptsim_jax.tasks.pendulum.task import SETTINGS, PendulumConfig, pendulum_space
@@ -56,8 +56,8 @@ def methods(args):
     config, sysid = train_config(args), sysid_config(args)
     return {
         "adaptsim": lambda *a, **k: adaptsim_over_ranges(config, *a, **k),
-        "sysid_bayes": lambda *a, **k: sysid_over_ranges(make_sysid_bayes, sysid, *a, **k),
-        "sysid_point": lambda *a, **k: sysid_over_ranges(make_sysid_point, sysid, *a, **k),
+        "sysid_bayes": lambda *a, **k: sysid_over_ranges(mixture_estimator, sysid, *a, **k),
+        "sysid_point": lambda *a, **k: sysid_over_ranges(point_estimator, sysid, *a, **k),
     }
 
 

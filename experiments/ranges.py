@@ -14,7 +14,7 @@ from adaptsim_jax.adaptation.episode import StepPlan
 from adaptsim_jax.adaptation.phase1 import make_phase1
 from adaptsim_jax.adaptation.phase2 import adapt, draw_starts
 from adaptsim_jax.adaptation.training import TrainConfig, traced
-from adaptsim_jax.baselines.sysid import SysIdConfig
+from adaptsim_jax.baselines.sysid import SysIdConfig, make_sysid
 from adaptsim_jax.core import config as configs
 from adaptsim_jax.core.progress import silent
 from adaptsim_jax.mechanisms.double_pendulum import linear as model
@@ -122,7 +122,7 @@ def adaptsim_over_ranges(
 
 
 def sysid_over_ranges(
-    make: Callable,
+    estimator: Callable,
     config: SysIdConfig,
     offsets: np.ndarray,
     seeds: np.ndarray,
@@ -130,15 +130,15 @@ def sysid_over_ranges(
     *,
     report: Callable = silent,
 ) -> np.ndarray:
-    """The same for a SysID baseline, with the paper's plain observation: `[R, S, 1, iterations + 1,
-    D]`.
+    """The same for SysID with `mixture_estimator` or `point_estimator`, with the paper's plain
+    observation: `[R, S, 1, iterations + 1, D]`.
     """
 
     shifted = shiftable_pendulum({"scaling": "paper", "reference": "optimum"})
 
     @jax.jit
     def run(offset, seed):
-        return make(shifted(offset), config)(
+        return make_sysid(shifted(offset), estimator, config)(
             jax.random.key(seed), jnp.asarray(target, jnp.float32)
         )[None]
 
