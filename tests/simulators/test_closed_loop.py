@@ -260,13 +260,16 @@ def weak(joint, law):
 def test_joints_that_run_away_at_a_limit_are_judged_over_stretches(tmp_path):
     report = diagnose(logged(tmp_path / "log", ARM, weak), out=tmp_path / "out")
     rows = {(r["name"], r["where"]): r["parameters"] for r in report["effects"]}
-    # where programs are compiled without optimisation a mass is named as well, wrongly
-    assert {e for e, _ in rows} - {"inertia"} == {"position_gain", "saturation"}
+    wanted = {(n, j) for n in ("position_gain", "saturation") for j in ARM_JOINTS}
+    assert set(rows) - {("inertia", "elbow")} == wanted
     for j, joint in enumerate(ARM_JOINTS):
         limit = rows["saturation", joint]["limit"]["value"]
         assert limit == pytest.approx(1.6 - 0.9 * j, rel=0.03)
     assert "Stretches of 1 s" in report["message"]
     assert all(r["after"] < 0.1 * r["before"] for r in report["files"]["model.xml"])
+    if set(rows) != wanted:
+        pytest.xfail("a mass that is not there is named beside the limits")
+    assert rows["position_gain", "shoulder"]["kp"]["value"] == pytest.approx(320.0, rel=0.05)
 
 
 def test_what_lacks_nothing_is_not_searched(tmp_path):
