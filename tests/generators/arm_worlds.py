@@ -16,6 +16,9 @@ import mujoco
 import numpy as np
 
 KINDS = ("null", "friction", "rotor", "gain", "offset", "spring", "stribeck")
+PAYLOAD = "payload"
+"""Carried by the last body, which the file does not know: a kind of its own, or beside another as
+in "spring+payload"."""
 
 
 def write_arm(
@@ -28,8 +31,9 @@ def write_arm(
     noise: float = 1e-4,
 ) -> dict:
     """kind: `null` (the file has the friction), `friction` alone, or friction with one effect more
-    at one or two joints.
+    at one or two joints; with `+payload`, or as `payload` alone, the last body carries 0.3 to 2 kg.
     """
+    kind, _, carried = kind.replace(PAYLOAD, f"friction+{PAYLOAD}", kind == PAYLOAD).partition("+")
     rng = np.random.default_rng(seed)
     spec, n = _arm(robot)
     model = spec.compile()
@@ -66,6 +70,8 @@ def write_arm(
             stiff[j] = rng.uniform(0.5, 1.0) * weight[j] / reach[j]
             joints[j].stiffness = [stiff[j], 0.0, 0.0]
             truth["effects"].append(("spring", int(j)))
+    if carried:
+        truth["payload"] = _load(spec, np.random.default_rng([seed, 1]))
     if kind == "null":
         truth["effects"] = []
         for j, joint in enumerate(declared.joints):
@@ -76,6 +82,15 @@ def write_arm(
     (folder / "meta.toml").write_text('task = "mechanism"\nmodel = "model.xml"\ninput = "torque"\n')
     _record(folder, spec.compile(), level, viscous, gain, offset, reach, rng, seconds, rate, noise)
     return truth
+
+
+def _load(spec, rng) -> float:
+    """The last body carries a ball up to 8 cm from its centre. Its mass, kg."""
+    body = [j.parent for j in spec.joints][-1]
+    mass, place = float(rng.uniform(0.3, 2.0)), np.asarray(body.ipos) + rng.uniform(-0.08, 0.08, 3)
+    ball = body.add_body(name="ball", pos=place)
+    ball.mass, ball.inertia, ball.explicitinertial = mass, [4e-4 * mass] * 3, True
+    return mass
 
 
 def _arm(robot: Path):
