@@ -349,7 +349,7 @@ def judged(report: dict, true: dict, world: World) -> dict:
 SHARED = {
     "delay": ("delay", "delay"),
     "lag": ("actuator_lag", "lag"),
-    "payload": ("inertia", "mass"),
+    "payload": ("body_mass", "mass"),
     "lift": ("gravity_compensation", "share"),
 }
 """Effect and parameter by number of the law."""

@@ -151,7 +151,7 @@ def told(report: dict, hidden: str) -> str:
         quiet = not names and report["verdict"] == "within_noise"
         return "right" if quiet else "wrong" if names else "missed"
     if hidden == "bodies":  # a mass that the last body carries
-        carried = [name for name in names if name.startswith("inertia")]
+        carried = [name for name in names if name.startswith("body_mass")]
         return "right" if len(carried) == len(names) == 1 else "wrong" if names else "missed"
     alike = {a.replace("@", " at ") for found in names.values() for a in found}
     if hidden in names:

@@ -5,8 +5,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector, inertia_entries
-from adaptsim_jax.attribution.problem import TreeProblem, off_value
+from adaptsim_jax.attribution.parameters import (
+    BODY_MASS,
+    INERTIA,
+    TILT,
+    Entry,
+    Vector,
+    body_mass_entries,
+    inertia_entries,
+)
+from adaptsim_jax.attribution.problem import Group, TreeProblem, off_value
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.catalogue import TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
@@ -202,6 +210,8 @@ def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> l
     """What frees parameters of the model itself: the direction of gravity, where there is any. The
     inertia of a body with a mass.
     """
+    if name == BODY_MASS:
+        return []
     if name == INERTIA:
         bodies = [
             j for g in problem.groups for at, j in enumerate(g.joints) if g.inertias.massive[at]
@@ -223,6 +233,20 @@ def _of_model(problem: TreeProblem, name: str, taken: set[tuple[str, int]]) -> l
         Entry(TILT, t, everywhere, 0.0, 0.0, -0.5, 0.5, "rad", prior=1.0) for t in TILTS
     )
     return [JointCandidate(TILT, everywhere, "common", entries)]
+
+
+def body_mass_candidates(group: Group) -> list[JointCandidate]:
+    """Each body of a group that has a mass, with another one."""
+    return [
+        JointCandidate(
+            BODY_MASS,
+            (j,),
+            "joint",
+            tuple(replace(e, joints=(j,)) for e in body_mass_entries(group.model.tree, k)),
+        )
+        for k, j in enumerate(group.joints)
+        if group.inertias.massive[k]
+    ]
 
 
 def _fixed(point) -> tuple[tuple[str, float], ...]:

@@ -31,7 +31,7 @@ from adaptsim_jax.diagnosis.report import (
 from adaptsim_jax.diagnosis.testing import Test
 from adaptsim_jax.effects.base import unit_at
 from adaptsim_jax.effects.joints.actuator import ACTUATOR_LAG, DELAY, POSITION_GAIN, SATURATION
-from adaptsim_jax.effects.joints.catalogue import BODY, MACHINE
+from adaptsim_jax.effects.joints.catalogue import BODY_MASS, MACHINE
 from adaptsim_jax.effects.joints.forces import ARMATURE, BIAS, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB
 from adaptsim_jax.effects.joints.sensor import ENCODER_OFFSET
@@ -61,8 +61,8 @@ NAMES = {
     "zero": ENCODER_OFFSET.name,
     "delay": DELAY.name,
     "lag": ACTUATOR_LAG.name,
-    "payload": BODY.name,
-    "reach": BODY.name,
+    "payload": BODY_MASS.name,
+    "reach": BODY_MASS.name,
     "lift": LIFT,
 }
 """The name of the effect that a fitted number of a servo belongs to."""
@@ -76,7 +76,7 @@ PHYSICS = {
     ENCODER_OFFSET.name: ENCODER_OFFSET.physics,
     DELAY.name: DELAY.physics,
     ACTUATOR_LAG.name: ACTUATOR_LAG.physics,
-    BODY.name: "more is carried than the file says",
+    BODY_MASS.name: BODY_MASS.physics,
     LIFT: "the controller feeds gravity forward, or another share of it than the file says",
 }
 
@@ -247,7 +247,7 @@ def _named(d: ServoDiagnosis, e: ServoEffect) -> Named:
 
 def _alternatives(d: ServoDiagnosis, e: ServoEffect) -> tuple[ServoEffect, ...]:
     """What says the same of whole trials as a mass that is carried."""
-    if e.name != BODY.name:
+    if e.name != BODY_MASS.name:
         return ()
     return tuple(ServoEffect(POSITION_GAIN.name, j, ()) for j in d.found.instead)
 
@@ -275,7 +275,7 @@ def _distance(d: ServoDiagnosis, j: int, name: str) -> float:
 
 def _label(d: ServoDiagnosis, e: ServoEffect) -> Label:
     servos = d.recording.servos
-    if e.name == BODY.name:
+    if e.name == BODY_MASS.name:
         carried = d.source.model.body(d.recording.model.body(d.recording.hand).name).name
         joint = servos[-1].name if servos else carried
         return Label(e.name, joint)

@@ -24,11 +24,11 @@ from adaptsim_jax.attribution.acting import (
 )
 from adaptsim_jax.attribution.criteria import FRICTION
 from adaptsim_jax.attribution.drive import MIN_INERTIA, Local, logged_alone, sprung
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
+from adaptsim_jax.attribution.parameters import BODY_NUMBERS, OF_BODIES, TILT, Entry, Vector
 from adaptsim_jax.attribution.problem import Group, TreeProblem, group_inertia, off_value
 from adaptsim_jax.attribution.simulate import Path, command_rows
 from adaptsim_jax.effects.base import Drive, Dry, Effect, Motion
-from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
+from adaptsim_jax.effects.joints.catalogue import TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE
 from adaptsim_jax.mechanisms import equations
 
@@ -351,11 +351,11 @@ class GroupColumns:
         """Force column [n, L, W] of an inertial entry of a body of the group."""
         if "inertia" not in self._made:
             y = self._regressed()
-            eta = self.vector.bodies(self.group.joints)
-            self._made["inertia"] = (y, self.group.inertias.at(eta)[1])
+            numbers = self.vector.bodies(self.group.joints)
+            self._made["inertia"] = (y, self.group.inertias.at(numbers)[1])
         y, slope = self._made["inertia"]
         part = y[:, 10 * body : 10 * body + 10]
-        return -np.einsum("niLW,i->nLW", part, slope[body, :, ETA.index(name)])
+        return -np.einsum("niLW,i->nLW", part, slope[body, :, BODY_NUMBERS.index(name)])
 
     def _regressed(self) -> np.ndarray:
         """Forces of the joints by inertial parameters [n, 10 n, L, W]."""
@@ -479,7 +479,7 @@ class GroupColumns:
                 continue
             for j in (j for j in e.joints if j in self.group.joints):
                 at = self.group.joints.index(j)
-                if e.owner == INERTIA:
+                if e.owner in OF_BODIES:
                     force[:, :, on_links, k] += self.inertia(at, e.name).transpose(2, 1, 0)
                     continue
                 z = self._acts(force[..., k], e, shape, at, on_links)

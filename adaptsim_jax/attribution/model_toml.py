@@ -24,7 +24,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA, TILT
+from adaptsim_jax.attribution.parameters import OF_BODIES, TILT
 from adaptsim_jax.attribution.problem import TreeProblem, numbers_of, tilted, values_of
 from adaptsim_jax.attribution.stops import with_inertial
 from adaptsim_jax.core import config
@@ -90,7 +90,7 @@ def form_of(
 def _effects(problem: TreeProblem, model: FittedTree) -> tuple[AddedEffect, ...]:
     by: dict[tuple[str, str], dict[str, Value]] = {}
     for e, value in model.fit.vector.pairs():
-        if e.owner == INERTIA:
+        if e.owner in OF_BODIES:
             continue
         if e.owner == TILT:
             places = ["base"]

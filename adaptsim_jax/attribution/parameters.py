@@ -20,8 +20,11 @@ from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.diagnosis.steps import bounded_step
 from adaptsim_jax.effects.joints import catalogue
 from adaptsim_jax.effects.joints.catalogue import BODY, WIDEST
+from adaptsim_jax.mechanisms.tree import Tree
 
-INERTIA, TILT = BODY.name, catalogue.TILT.name
+INERTIA, BODY_MASS, TILT = (e.name for e in (BODY, catalogue.BODY_MASS, catalogue.TILT))
+BODY_NUMBERS = tuple(p.name for e in (BODY, catalogue.BODY_MASS) for p in e.parameters)
+OF_BODIES = (INERTIA, BODY_MASS)
 
 
 @dataclass(frozen=True)
@@ -53,7 +56,9 @@ class Entry:
         def near(end):
             return bool(np.isfinite(end)) and abs(value - end) <= share * abs(end)
 
-        return near(self.high) or (self.low < min(self.off, self.start) and near(self.low))
+        lightest = self.owner == BODY_MASS and self.name == "mass"  # may well be the body's
+        below = self.low < min(self.off, self.start) and not lightest
+        return near(self.high) or (below and near(self.low))
 
 
 @dataclass(frozen=True)
@@ -78,11 +83,11 @@ class Vector:
         return {e.key: z for e, z in self.pairs()}
 
     def bodies(self, joints: Sequence[int]) -> np.ndarray:
-        """What is fitted of the bodies that joints move, in the coordinates of `ETA` [n, 10]."""
-        out = np.zeros((len(joints), len(catalogue.ETA)))
+        """What is fitted of the bodies that joints move, by `BODY_NUMBERS` [n, 14]."""
+        out = np.zeros((len(joints), len(BODY_NUMBERS)))
         for e, z in self.pairs():
-            if e.owner == INERTIA and e.joints[0] in joints:
-                out[joints.index(e.joints[0]), catalogue.ETA.index(e.name)] = z
+            if e.owner in OF_BODIES and e.joints[0] in joints:
+                out[joints.index(e.joints[0]), BODY_NUMBERS.index(e.name)] = z
         return out
 
     @property
@@ -164,9 +169,9 @@ def root(inertial: np.ndarray) -> np.ndarray:
     return flip @ np.linalg.cholesky(flip @ j @ flip) @ flip
 
 
-def moved(u0, eta):
-    """Inertial parameters [10] at eta [10] from the root of the declared ones [4, 4]."""
-    a, dx, dy, dz, xy, xz, yz, tx, ty, tz = eta
+def moved(u0, numbers):
+    """Inertial parameters [10] at `BODY_NUMBERS` [14] from the root of the declared ones [4, 4]."""
+    a, dx, dy, dz, xy, xz, yz, tx, ty, tz, *more = numbers
     one, zero = jnp.exp(0.0 * a), 0.0 * a
     triangle = [
         [jnp.exp(dx), xy, xz, tx],
@@ -175,13 +180,27 @@ def moved(u0, eta):
         [zero, zero, zero, one],
     ]
     u = u0 @ (jnp.array(triangle) * jnp.exp(a))
-    return inertial_of(u @ u.T)
+    return inertial_of(_reweighed(u @ u.T, *more))
+
+
+LEAST_MASS = 0.05  # of a body's mass, that a change of it leaves at least
+
+
+def _reweighed(j, mass, *moments):
+    """A pseudo-inertia [4, 4] with more mass and first moments. More mass alone is at the centre of
+    mass; the second moments about that grow in proportion.
+    """
+    centre = j[:, 3] / j[3, 3]
+    factor = jnp.maximum(1.0 + mass / j[3, 3], LEAST_MASS)
+    there = centre + jnp.stack([*moments, 0.0 * mass]) / (factor * j[3, 3])
+    spread = j - j[3, 3] * jnp.outer(centre, centre)
+    return factor * (spread + j[3, 3] * jnp.outer(there, there))
 
 
 @jax.jit
-def _moved_all(roots, eta):
-    """[nb, 10] and its derivative [nb, 10, 10]."""
-    return jax.vmap(moved)(roots, eta), jax.vmap(jax.jacfwd(moved, argnums=1))(roots, eta)
+def _moved_all(roots, numbers):
+    """[nb, 10] and its derivative [nb, 10, 14]."""
+    return jax.vmap(moved)(roots, numbers), jax.vmap(jax.jacfwd(moved, argnums=1))(roots, numbers)
 
 
 @dataclass(frozen=True)
@@ -192,11 +211,13 @@ class Inertias:
     roots: np.ndarray
     massive: np.ndarray  # [nb] bool
 
-    def at(self, eta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Inertial parameters [nb, 10] at eta [nb, 10], and their derivative [nb, 10, 10]."""
+    def at(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Inertial parameters [nb, 10] at `BODY_NUMBERS` [nb, 14], and their derivative
+        [nb, 10, 14].
+        """
         with jax.enable_x64(True):
-            value, slope = (np.array(z) for z in _moved_all(self.roots, np.asarray(eta, float)))
-        none = np.all(eta == 0.0, axis=1) | ~self.massive
+            value, slope = (np.array(z) for z in _moved_all(self.roots, np.asarray(numbers, float)))
+        none = np.all(numbers == 0.0, axis=1) | ~self.massive
         value[none] = self.declared[none]
         slope[~self.massive] = 0.0
         return value, slope
@@ -257,3 +278,22 @@ class Normal:
 
     hess: np.ndarray
     slope: np.ndarray
+
+
+def body_mass_entries(tree: Tree, body: int) -> tuple[Entry, ...]:
+    """Entries of more mass and first moments of a body, within what the machine could carry."""
+    inertial, place = np.asarray(tree.inertial), np.asarray(tree.place)
+    mass = inertial[:, 0]
+    length = max(
+        np.linalg.norm(place[1:], axis=1).max(initial=0.0),
+        np.linalg.norm(inertial[mass > 0, 1:4] / mass[mass > 0, None], axis=1).max(initial=0.0),
+    )
+    most = float(mass.sum())
+    far = most * float(length)
+    make = partial(Entry, BODY_MASS, joints=(body,), start=0.0, off=0.0)
+    least = -float(mass[body]) * (1.0 - 1.0 / PRIOR_WIDTH.body_factor)
+    spread = PRIOR_WIDTH.inertia
+    return make("mass", low=least, high=most, unit="kg", prior=spread * most), *(
+        make(p.name, low=-far, high=far, unit="kg m", prior=spread * far)
+        for p in catalogue.BODY_MASS.parameters[1:]
+    )

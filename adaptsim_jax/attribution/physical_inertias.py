@@ -17,11 +17,10 @@ from adaptsim_jax.attribution.criteria import INERTIAL
 from adaptsim_jax.attribution.estimate import normal
 from adaptsim_jax.attribution.fitted import FittedTree
 from adaptsim_jax.attribution.machine import Machine
-from adaptsim_jax.attribution.parameters import INERTIA
+from adaptsim_jax.attribution.parameters import BODY_NUMBERS, OF_BODIES
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.testing import deviates, jackknife
-from adaptsim_jax.effects.joints.catalogue import ETA
 from adaptsim_jax.mechanisms.inertia_frames import (
     Frame,
     central,
@@ -67,7 +66,7 @@ def inertia_rows(machine: Machine, problem: TreeProblem, model: FittedTree) -> d
     the data fix the value.
     """
     vector = model.fit.vector
-    if not any(e.owner == INERTIA for e in vector.entries):
+    if not any(e.owner in OF_BODIES for e in vector.entries):
         return {}
     left, prior = spreads(problem, model)
     rows, times = {}, deviates(len(model.held.vectors))
@@ -92,7 +91,7 @@ def inertia_rows(machine: Machine, problem: TreeProblem, model: FittedTree) -> d
 
 def sentence(problem: TreeProblem, model: FittedTree, rows: dict[str, Table]) -> list[str]:
     """What the data fix of the inertial parameters, in words; nothing where none was fitted."""
-    own = [i for i, e in enumerate(model.fit.vector.entries) if e.owner == INERTIA]
+    own = [i for i, e in enumerate(model.fit.vector.entries) if e.owner in OF_BODIES]
     if not own or not rows:
         return []
     left, prior = spreads(problem, model)
@@ -189,9 +188,9 @@ def spreads(problem: TreeProblem, model: FittedTree) -> tuple[np.ndarray, np.nda
 def quantities(machine: Machine, problem: TreeProblem, model: FittedTree) -> list[InertialQuantity]:
     """All that is told of inertias, joints first."""
     tree, vector = machine.tree, model.fit.vector
-    file = np.where([e.owner == INERTIA for e in vector.entries], 0.0, vector.values)
+    file = np.where([e.owner in OF_BODIES for e in vector.entries], 0.0, vector.values)
     fits = np.stack([vector.values, *model.held.vectors, file])
-    place = {(e.joints[0], e.name): i for i, e in enumerate(vector.entries) if e.owner == INERTIA}
+    place = {(e.joints[0], e.name): i for i, e in enumerate(vector.entries) if e.owner in OF_BODIES}
     found: dict[
         int, tuple[np.ndarray, np.ndarray]
     ] = {}  # inertial parameters [2 + F, 10] of a body, their slope [10, P]
@@ -199,7 +198,7 @@ def quantities(machine: Machine, problem: TreeProblem, model: FittedTree) -> lis
         by_fit = [g.inertias.at(vector.at(row).bodies(g.joints)) for row in fits]
         for k, j in enumerate(g.joints):
             slope = np.zeros((10, len(vector)))
-            for c, name in enumerate(ETA):
+            for c, name in enumerate(BODY_NUMBERS):
                 if (j, name) in place:
                     slope[:, place[j, name]] = by_fit[0][1][k][:, c]
             found[j] = np.stack([value[k] for value, _ in by_fit]), slope

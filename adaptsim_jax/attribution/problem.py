@@ -11,7 +11,8 @@ import numpy as np
 from adaptsim_jax.attribution.acting import ActingModel, Values
 from adaptsim_jax.attribution.criteria import CHOICE, RANGE, STRETCH
 from adaptsim_jax.attribution.parameters import (
-    INERTIA,
+    BODY_NUMBERS,
+    OF_BODIES,
     TILT,
     Entry,
     Inertias,
@@ -23,7 +24,7 @@ from adaptsim_jax.attribution.stretches import JointStretches, JointTrack, cut, 
 from adaptsim_jax.diagnosis.folds import folds_of, names_of
 from adaptsim_jax.effects.base import Effect, Reach, unit_at
 from adaptsim_jax.effects.joints.actuator import DEAD_ZONE, SATURATION, TORQUE_GAIN
-from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
+from adaptsim_jax.effects.joints.catalogue import TILTS
 from adaptsim_jax.effects.joints.forces import ARMATURE, SPRING
 from adaptsim_jax.effects.joints.friction import COULOMB, LOAD_FRICTION, QUADRATIC_DRAG, VISCOUS
 from adaptsim_jax.logs.noise import local_motion, sensor_noise
@@ -415,7 +416,7 @@ def values_of(
     n, width = len(group.joints), 1 if rows is None else len(rows)
     numbers = vector.values[None] if rows is None else np.asarray(rows)
     place = {j: k for k, j in enumerate(group.joints)}
-    eta = np.zeros((width, n, 10))
+    bodies = np.zeros((width, n, len(BODY_NUMBERS)))
     effects: dict[str, dict[str, np.ndarray]] = {}
     for e in problem.effects:
         if e.place == "model":
@@ -431,12 +432,12 @@ def values_of(
                 tilt[:, TILTS.index(e.name)] = numbers[:, i]
             elif j not in place:
                 continue
-            elif e.owner == INERTIA:
-                eta[:, place[j], ETA.index(e.name)] = numbers[:, i]
+            elif e.owner in OF_BODIES:
+                bodies[:, place[j], BODY_NUMBERS.index(e.name)] = numbers[:, i]
             else:
                 effects[e.owner][e.name][place[j]] = numbers[:, i]
     which, lane = np.unique(
-        eta, axis=0, return_inverse=True
+        bodies, axis=0, return_inverse=True
     )  # as many as there are folds, not stretches
     inertial = np.stack([group.inertias.at(z)[0] for z in which], -1)
     if len(which) != 1:

@@ -9,6 +9,7 @@ import numpy as np
 
 from adaptsim_jax.attribution.criteria import TEXT, WINDOW
 from adaptsim_jax.attribution.equation.balance import Balance, residual, rms
+from adaptsim_jax.attribution.equation.carried import carried
 from adaptsim_jax.attribution.equation.models import TorqueSearch, held_missing
 from adaptsim_jax.attribution.measures import Measure, needed
 from adaptsim_jax.attribution.parameters import INERTIA, Vector
@@ -19,6 +20,7 @@ from adaptsim_jax.attribution.shown import shown
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.report import Account, Headline, words
+from adaptsim_jax.diagnosis.testing import deviates
 from adaptsim_jax.logs.noise import difference_noise
 
 
@@ -62,6 +64,7 @@ def by_torque(
     }
     notes = [
         *account.more["notes"],
+        *carried_notes(problem, found),
         *unnamed_notes(problem, found),
         *bound_notes(problem, found, e.factor),
     ]
@@ -163,6 +166,21 @@ def headline(problem: TreeProblem, e: TorqueFound) -> Headline:
         f"most is left at {worst}).",
         enough=Headline.none,
     )
+
+
+def carried_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:
+    """Which mass at one body says what all fitted bodies say."""
+    lines = []
+    for w in found.searches:
+        if (c := carried(w)) is None:
+            continue
+        width = deviates(len(w.whole.by_fold)) * c.error
+        lines.append(
+            f"About {c.mass:.3g} kg [{c.mass - width:.3g}, {c.mass + width:.3g}] more than the "
+            f"file says is carried behind {problem.joint_names[c.joint]}: by itself it takes off "
+            f"{100 * c.share:.0f} % of what all fitted bodies do (in logarithms)."
+        )
+    return lines
 
 
 def unnamed_notes(problem: TreeProblem, found: TorqueSearch) -> list[str]:

@@ -102,7 +102,7 @@ class Criteria:
     gap: float = 0.02
     alike: float = 0.1
     steady: float = 3.0
-    bound: float = 1e-6
+    bound: float = 0.05
     min_shift: float = 0.25
     within_row: float = 0.6
     min_change: float = 0.1

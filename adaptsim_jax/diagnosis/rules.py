@@ -336,6 +336,8 @@ STEPS = {
     "begin_from_other": "along the measured motion",
     "likely_first": "at all joints",
     "shape_artefact": "with all shapes fitted its interval includes none of it",
+    "ends_at_bound": "with all shapes fitted its value is at the end of its range",
+    "body_first": "a body of another mass does as well as {one}",
     "one_for_two": "{one} and {other} by one",
     "simpler_has_the_name": "{one} has fewer parameters and does as well",
     "as_logged": "loggers pair torques with angles as early or late as this",

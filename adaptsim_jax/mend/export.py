@@ -139,7 +139,7 @@ class Diagnosis:
         effects = [(e.name, e.where) for e in self.form.effects]
         servos = [("servo", joint) for joint in self.form.own.get("servo", {})]
         named = [(e["name"], e["where"]) for e in self.report["effects"]]
-        bodies = [(name, where) for name, where in named if name == "inertia"]
+        bodies = [(name, where) for name, where in named if name in ("inertia", "body_mass")]
         lift = [("lift", "base")] * ("lift" in self.form.own)
         return [*effects, *servos, *bodies, *lift]
 

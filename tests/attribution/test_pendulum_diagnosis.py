@@ -20,7 +20,7 @@ from adaptsim_jax.attribution.candidates import candidates
 from adaptsim_jax.attribution.estimate import fit
 from adaptsim_jax.attribution.fitted import over_floor
 from adaptsim_jax.attribution.held_out import modelled
-from adaptsim_jax.attribution.parameters import inertias
+from adaptsim_jax.attribution.parameters import BODY_NUMBERS, inertias
 from adaptsim_jax.attribution.pendulum import LINK, base_parameters, declared_machine, in_the_plane
 from adaptsim_jax.attribution.pendulum_diagnosis import first_parameters
 from adaptsim_jax.attribution.posed import declared_vector
@@ -28,7 +28,7 @@ from adaptsim_jax.attribution.problem import own_inertia, scaled_reach
 from adaptsim_jax.attribution.tree_objective import TreeObjective
 from adaptsim_jax.diagnosis import Effect, Quantity, catalogue
 from adaptsim_jax.diagnosis.criteria import Criteria
-from adaptsim_jax.effects.joints.catalogue import ETA, MACHINE
+from adaptsim_jax.effects.joints.catalogue import MACHINE
 from adaptsim_jax.logs.pendulum import read_pendulum
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.mechanisms import dynamics, equations
@@ -258,12 +258,12 @@ def test_links_are_thin_enough_for_rigs_whose_mass_sits_at_their_ends(tmp_path):
     )
     (tmp_path / "rig.xml").write_text(double_pendulum_mjcf(theta, {"l1": l1}, "hanging"))
     bodies = inertias(np.asarray(read_mechanism(tmp_path / "rig.xml").tree.inertial))
-    places = [(b, ETA.index(name)) for b in range(2) for name in LINK]
+    places = [(b, BODY_NUMBERS.index(name)) for b in range(2) for name in LINK]
 
     def off(z):
-        eta = np.zeros((2, 10))
-        eta[tuple(zip(*places, strict=True))] = z
-        return base_parameters(bodies.at(eta)[0], l1, 1.0) / wanted - 1.0
+        numbers = np.zeros((2, len(BODY_NUMBERS)))
+        numbers[tuple(zip(*places, strict=True))] = z
+        return base_parameters(bodies.at(numbers)[0], l1, 1.0) / wanted - 1.0
 
     found = least_squares(off, np.zeros(len(places)))
     assert np.max(np.abs(found.fun)) < 1e-3

@@ -114,6 +114,7 @@ def test_one_effect_takes_the_place_of_two_only_where_neither_does_by_itself(
     monkeypatch.setattr(balance_objective, "ranked", lambda state, now, some: list(some))
     monkeypatch.setattr(balance_objective, "refusal", lambda evidence: None)
     monkeypatch.setattr(balance_objective, "at_bound", lambda *a: False)
+    monkeypatch.setattr(balance_objective, "_known", lambda whole: {})
     judge = BalanceObjective(state, [one("dead_zone", "width")])
     found = judge.one_for_two(judge.model([one("coulomb"), one("armature", "inertia")]))
     assert (found and found[0].added[0].effect) == instead

@@ -61,7 +61,7 @@ def test_a_rotor_that_is_not_the_files_is_named(tmp_path):
 @pytest.mark.long
 def test_a_body_that_is_not_the_files_is_named(tmp_path):
     (row,) = diagnose(arm_log(tmp_path / "payload", mass=3.0))["effects"]
-    assert (row["name"], row["where"]) == ("inertia", "elbow")
+    assert (row["name"], row["where"]) == ("body_mass", "elbow")
     assert row["parameters"]["mass"]["value"] == pytest.approx(1.0, rel=0.15)
 
 

@@ -83,11 +83,14 @@ WORLDS: dict[str, list[tuple[str, str, dict[str, float]]]] = {
     "drive_backlash": [("drive_backlash", E, DRIVE | {"gap": 0.06, "link": 1.0, "control": 0.0})],
     "backlash": [("backlash", E, {"gap": 0.06})],
     "tilt": [("tilt", "base", {"about_x": 0.05, "about_y": 0.1})],
+    "body_mass": [],
     "inertia": [],
     "servo": [],
 }
+BODY = "[inertial]\nelbow = [0.8, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.02, 0.0, 0.002]\n"
 OWN = {
-    "inertia": "[inertial]\nelbow = [0.8, 0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.02, 0.0, 0.002]\n",
+    "body_mass": BODY,
+    "inertia": BODY,
     "servo": "[servo.elbow]\nkp = 9.0\nkv = 0.2\nlimit = 1.5\noffset = 0.1\n",
 }
 

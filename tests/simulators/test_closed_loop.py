@@ -261,7 +261,7 @@ def test_joints_that_run_away_at_a_limit_are_judged_over_stretches(tmp_path):
     report = diagnose(logged(tmp_path / "log", ARM, weak), out=tmp_path / "out")
     rows = {(r["name"], r["where"]): r["parameters"] for r in report["effects"]}
     wanted = {(n, j) for n in ("position_gain", "saturation") for j in ARM_JOINTS}
-    assert set(rows) - {("inertia", "elbow")} == wanted
+    assert set(rows) - {("body_mass", "elbow")} == wanted
     for j, joint in enumerate(ARM_JOINTS):
         limit = rows["saturation", joint]["limit"]["value"]
         assert limit == pytest.approx(1.6 - 0.9 * j, rel=0.03)
@@ -290,7 +290,7 @@ def test_a_late_target_is_a_delay_and_nothing_else(tmp_path):
 def test_a_mass_at_the_hand_is_named_with_its_interval(tmp_path):
     report = diagnose(logged(tmp_path / "log", ARM, load_kg=0.4), out=tmp_path / "out")
     (row,) = report["effects"]
-    assert (row["name"], row["where"]) == ("inertia", "elbow")
+    assert (row["name"], row["where"]) == ("body_mass", "elbow")
     mass = row["parameters"]["mass"]
     assert mass["value"] == pytest.approx(0.4, rel=0.15) and mass["low"] < 0.4 < mass["high"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "out" / "model.xml"))

@@ -16,13 +16,14 @@ from adaptsim_jax.attribution.candidates import JointCandidate, adjacent
 from adaptsim_jax.attribution.equation.balance import rms
 from adaptsim_jax.attribution.equation.searched import Searched, needed, ranked, worth_apart
 from adaptsim_jax.attribution.equation.solve import Solved, compared
-from adaptsim_jax.attribution.parameters import INERTIA, Vector
+from adaptsim_jax.attribution.parameters import BODY_MASS, INERTIA, Vector
 from adaptsim_jax.diagnosis.criteria import LOOK_ALIKE, Criteria
 from adaptsim_jax.diagnosis.finding import Step
 from adaptsim_jax.diagnosis.objective import FittedCandidate, Objective, Round
 from adaptsim_jax.diagnosis.rules import Evidence, Reason, refusal, step_reason
 from adaptsim_jax.diagnosis.testing import Test, false_discovery, preferred
 from adaptsim_jax.effects.base import Traits
+from adaptsim_jax.effects.joints.catalogue import BODY_MASS as MASS
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class BalanceEvidence(Evidence):
 
     @property
     def at_bound(self) -> bool:
-        return at_bound(self.whole, self.candidate, self.state.criteria.bound)
+        return at_bound(_known(self.whole), self.candidate, self.state.criteria.bound)
 
     @property
     def read_so(self) -> bool:
@@ -140,6 +141,11 @@ def _numbers(whole: Solved, c: JointCandidate) -> list[int]:
     return [i for i, e in enumerate(whole.entries) if e.key in keys]
 
 
+def _known(whole: Solved) -> dict[tuple, float]:
+    """Values by the keys of entries."""
+    return {e.key: e.start + z for e, z in zip(whole.entries, whole.step, strict=True)}
+
+
 def steadiness(whole: Solved, c: JointCandidate) -> float:
     """Its amplitudes over their standard errors, root mean square: a torque of two numbers has
     twice the chance that one is large.
@@ -148,9 +154,12 @@ def steadiness(whole: Solved, c: JointCandidate) -> float:
     return float(rms(whole.step[at] / np.maximum(whole.error[at], 1e-300)))
 
 
-def at_bound(whole: Solved, c: JointCandidate, share: float) -> bool:
-    entries = [(whole.entries[i], whole.step[i]) for i in _numbers(whole, c)]
-    return any(e.at_bound(e.start + step, share) for e, step in entries)
+def at_bound(known: Mapping[tuple, float], c: JointCandidate, share: float) -> bool:
+    """Whether an amplitude is at an end of its range. known: values by the keys of entries."""
+    return any(e.at_bound(known[e.key], share) for e in c.entries)
+
+
+LIKE_A_BODY = MASS.look_alikes
 
 
 @dataclass(frozen=True)
@@ -275,15 +284,19 @@ class BalanceObjective(Objective):
         """One effect in the place of two; then without those that only made up for a shape on a
         grid, with the shapes of all others fitted.
         """
-        found = self.one_for_two(model)
+        found = self.one_for_two(model) or self.body_first(rows)
         if found is not None:
             return found
         asked = [e.candidate for e in rows if not (e.stays_unnamed and refusal(e))]
         stay, final, errors = needed(self.state, model.added, asked)
         gone = [c for c in model.added if c not in stay]
+        reason = step_reason("shape_artefact")
+        if not gone:
+            gone = [c for c in asked if at_bound(final.known(), c, self.state.criteria.bound)]
+            stay = [c for c in stay if c not in gone]
+            reason = step_reason("ends_at_bound")
         if not gone:
             return replace(model, final=final, errors=errors), ()
-        reason = step_reason("shape_artefact")
         return self.model(stay, model.asked), [Step("dropped", c, None, reason) for c in gone]
 
     def one_for_two(self, model: BalanceModel) -> tuple[BalanceModel, Sequence[Step]] | None:
@@ -311,6 +324,19 @@ class BalanceObjective(Objective):
                     return new, [Step("replaced", k, test, reason)]
         return None
 
+    def body_first(
+        self, rows: Sequence[BalanceEvidence]
+    ) -> tuple[BalanceModel, Sequence[Step]] | None:
+        """The set with a body of another mass in the place of what such a body looks like. None
+        where none does as well.
+        """
+        for e in (e for e in rows if e.candidate.effect in LIKE_A_BODY):
+            for one in (a for a in self.in_place_of(e) if a.candidate.effect == BODY_MASS):
+                if one.passed and one.test.gain < self.state.criteria.gap:
+                    reason = step_reason("body_first", one=e.candidate.effect)
+                    return one.model, [Step("replaced", one.candidate, one.test, reason)]
+        return None
+
     def in_place_of(self, e: BalanceEvidence) -> Iterator[FittedCandidate]:
         return self.instead((e.candidate,), e.less, e.whole)
 
@@ -322,19 +348,26 @@ class BalanceObjective(Objective):
         """
         state = self.state
         names, joints = {c.effect for c in gone}, {j for c in gone for j in c.joints}
+        alike = names & {BODY_MASS, *LIKE_A_BODY}
         near = [
             k
             for k in self.open_candidates(less.added)
             if any(adjacent(state.problem, k, c) or k.effect == c.effect == INERTIA for c in gone)
+            or (k.effect == BODY_MASS and alike)
         ]
-        others = [k for k in near if (k.effect in names) != bool(joints & set(k.joints))]
+        shows = set(state.own(*gone))
+        others = [
+            k
+            for k in near
+            if (not joints & set(k.joints) if k.effect in names else shows & set(state.own(k)))
+        ]
         others = [k for k in others if not state.problem.effect(k.effect).describes]
         gap = self._gap(gone, less.whole, whole)
         for k in ranked(state, less.whole, others)[: LOOK_ALIKE.fitted]:
             k = state.settled(less.added, k)
             other = self.model([*less.added, k], less.asked)
             test = self._test(other.whole, whole, (*gone, k))
-            passed = test.gain < gap and not at_bound(other.whole, k, state.criteria.bound)
+            passed = test.gain < gap and not at_bound(_known(other.whole), k, state.criteria.bound)
             yield FittedCandidate(k, other, test, passed)
 
     def open_candidates(self, added: Sequence[JointCandidate]) -> list[JointCandidate]:

@@ -8,7 +8,12 @@ from operator import attrgetter
 
 import numpy as np
 
-from adaptsim_jax.attribution.candidates import CandidateScore, JointCandidate, candidates
+from adaptsim_jax.attribution.candidates import (
+    CandidateScore,
+    JointCandidate,
+    body_mass_candidates,
+    candidates,
+)
 from adaptsim_jax.attribution.criteria import PRIOR_WIDTH
 from adaptsim_jax.attribution.equation.balance import Balance
 from adaptsim_jax.attribution.equation.balance_objective import BalanceObjective
@@ -17,7 +22,7 @@ from adaptsim_jax.attribution.equation.solve import ForceRows, Solved
 from adaptsim_jax.attribution.fitted import FittedTree, HeldOut, Selection
 from adaptsim_jax.attribution.forecast import fitted_starts
 from adaptsim_jax.attribution.held_out import squared_error
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, Normal, TreeFit, Vector
+from adaptsim_jax.attribution.parameters import BODY_MASS, INERTIA, TILT, Normal, TreeFit, Vector
 from adaptsim_jax.attribution.paths import losses, weigh
 from adaptsim_jax.attribution.problem import TreeProblem
 from adaptsim_jax.core.parallel import parallel_map
@@ -87,7 +92,10 @@ def separable_candidates(state: Searched) -> list[JointCandidate]:
     """Candidates of which a group's balance can tell."""
     joints, speed = set(state.balance.group.joints), state.reach.speed
     out = []
-    for every in candidates(state.problem, state.null, state.reach):
+    some = candidates(state.problem, state.null, state.reach)
+    if state.problem.offers(BODY_MASS):
+        some += body_mass_candidates(state.balance.group)
+    for every in some:
         c = _of_group(every, joints)
         effect = state.problem.effect(c.effect)
         if not set(c.joints) <= joints or not effect.in_balance:

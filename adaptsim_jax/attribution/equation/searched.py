@@ -26,13 +26,20 @@ from adaptsim_jax.attribution.equation.balance import (
     tilting,
 )
 from adaptsim_jax.attribution.equation.solve import ForceRows, Solved, Sums, rows_of, solved
-from adaptsim_jax.attribution.parameters import INERTIA, TILT, Entry, Vector
+from adaptsim_jax.attribution.parameters import (
+    BODY_MASS,
+    BODY_NUMBERS,
+    OF_BODIES,
+    TILT,
+    Entry,
+    Vector,
+)
 from adaptsim_jax.attribution.problem import TreeProblem, values_of
 from adaptsim_jax.diagnosis.criteria import Criteria
 from adaptsim_jax.diagnosis.steps import Point, bounded_step, fit_values
 from adaptsim_jax.diagnosis.testing import deviates
 from adaptsim_jax.effects.base import Effect, Reach
-from adaptsim_jax.effects.joints.catalogue import ETA, TILTS
+from adaptsim_jax.effects.joints.catalogue import TILTS
 from adaptsim_jax.mechanisms.tree import ancestors
 
 VALUE_STEP = 0.02  # share of a value, by which it is moved for a difference
@@ -83,8 +90,8 @@ class EffectTable:
         return needed / self.scale * np.isin(self.balance.group.joints, entry.joints)
 
     def _of(self, entry: Entry, shape: Mapping[str, float] | None) -> np.ndarray:
-        if entry.owner == INERTIA:
-            return self._inertia(self.place[entry.joints[0]], entry.name)
+        if entry.owner in OF_BODIES:
+            return self._inertia(self.place[entry.joints[0]], entry.name, shape or {})
         if entry.owner == TILT:
             way = np.cross(
                 np.asarray(self.balance.group.model.tree.gravity),
@@ -113,12 +120,19 @@ class EffectTable:
             return np.zeros((*self.missing().shape, 0))
         return np.stack([self.of(e, shape) for e in entries], -1)
 
-    def _inertia(self, body: int, name: str) -> np.ndarray:
-        if "slope" not in self._made:
-            group = self.balance.group
-            self._made["slope"] = group.inertias.at(self.vector.bodies(group.joints))[1]
+    def _inertia(self, body: int, name: str, to: Mapping[str, float]) -> np.ndarray:
+        """Of a body's number; half way to the numbers `to` which it changes to."""
+        group = self.balance.group
+
+        def slope():
+            numbers = self.vector.bodies(group.joints)
+            for key, value in to.items():
+                numbers[body, BODY_NUMBERS.index(key)] = 0.5 * value
+            return group.inertias.at(numbers)[1][body]
+
+        key = ("slope", body, tuple(sorted(to.items())))
         part = self.balance.regressor[:, :, 10 * body : 10 * body + 10]
-        return -part @ self._made["slope"][body, :, ETA.index(name)]
+        return -part @ self._cached(key, slope)[:, BODY_NUMBERS.index(name)]
 
     def _read(self, effect: Effect, entry: Entry) -> np.ndarray:
         way = 1.0 * np.isin(self.balance.group.joints, entry.joints)
@@ -298,8 +312,14 @@ class Searched:
 
     def settled(self, added: Sequence[JointCandidate], c: JointCandidate) -> JointCandidate:
         """A shift with its column made at the value that it comes to: a lag of 60 ms scaled to one
-        of 3 ms is none of 3 ms.
+        of 3 ms is none of 3 ms. Likewise another mass of a body.
         """
+        if c.effect == BODY_MASS:
+            for _ in range(2):
+                numbers = self.set_of([*added, c]).step[-len(c.entries) :]
+                to = zip((e.name for e in c.entries), numbers.tolist(), strict=True)
+                c = replace(c, shape=tuple(to))
+            return c
         if not c.shape or not self.problem.effect(c.effect).shifts_commands:
             return c
         for _ in range(2):

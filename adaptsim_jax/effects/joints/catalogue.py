@@ -47,6 +47,24 @@ BODY = Effect(
     traits=Traits(at_parents=True, fitted=True),
 )
 
+BODY_MASS = Effect(
+    "body_mass",
+    "model",
+    (
+        Quantity("mass", "kg", -1e3, 1e3),
+        *(Quantity(f"moment_{axis}", "kg m", -1e3, 1e3) for axis in "xyz"),
+    ),
+    of_the_engine,
+    "a body of another mass or centre of mass than declared: a payload, a tool, another part",
+    "wide angles under gravity",
+    (
+        *("bias", "spring", "cogging", "tilt", "torque_gain", "torque_coupling"),
+        *("encoder_offset", "encoder_scale", "inertia"),
+    ),
+    formula="mass and first moments more than the file's, the shape about the centre in proportion",
+    traits=Traits(at_parents=True, in_balance=True),
+)
+
 OWN: tuple[Effect, ...] = (
     friction.VISCOUS,
     friction.COULOMB,
@@ -79,5 +97,6 @@ OWN: tuple[Effect, ...] = (
     sensor.BACKLASH,
     TILT,
     BODY,
+    BODY_MASS,
 )
 MACHINE: tuple[Effect, ...] = (*OWN, *of_other_packages(taken=[e.name for e in OWN]))
