@@ -337,12 +337,14 @@ def _of_whole_trials(
     has_delay = any(n in DELAY_NAMES for n in model.shared)
     step_names = [n for n in STEP_NAMES if n != "shift" or not has_delay]
     model = replace(model, shared=(*model.shared, *step_names))
-    polished = or_other_friction(trials, polish_laws(trials, with_mass(trials.recording, model)))
+    polished = polish_laws(trials, with_mass(trials.recording, model), apart=True)
+    polished = or_other_friction(trials, polished)
     polished = or_other_scale(trials, or_plain(trials, polished, file))
     file = [law._replace(sharp=polished.model.laws[0].sharp) for law in file]
     polished = or_files_gain(trials, or_stepped(trials, polished, file), file)
     polished = or_rival(trials, polished, file)
-    return or_heavier(trials, polished, file)
+    polished, instead = or_heavier(trials, polished, file)
+    return polish_laws(trials, polished.model), instead
 
 
 def _with_friction(

@@ -193,29 +193,34 @@ def weights(trials: WholeTrials, error: np.ndarray) -> np.ndarray:
     return 1.0 / (np.square(error).mean(0) + np.square(noise))
 
 
-def polish_laws(trials: WholeTrials, model: FittedServos, rounds: int = 8) -> PolishedLaws:
-    """Gauss and Newton's fit over whole trials."""
+def polish_laws(
+    trials: WholeTrials, model: FittedServos, rounds: int = 8, apart: bool = False
+) -> PolishedLaws:
+    """Gauss and Newton's fit over whole trials. apart: as of `_linearise`."""
     error = trials.errors([model.laws])[0]
     damping = 1e-3
     while True:
         weight = weights(trials, error)
         before = float((np.square(error) * weight).sum()) + trials.pull_loss(model)
-        hess, slope = _linearise(trials, model, error, weight)
+        hess, slope = _linearise(trials, model, error, weight, apart)
         prior_hess, prior_slope = _pull(trials, model)
         if not model.coordinates or rounds == 0:
             break
         total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
-        sizes = damping * np.array([1e-3, 1.0, 30.0, 1e3])
         diagonal = np.diag(np.diag(total))
         room = trials.room(model, 0.7)
-        steps = [solve_within(total + z * diagonal, right, *room) for z in sizes]
-        tries = [trials.step_from(model, step) for step in steps]
-        errors_of_tries = trials.errors([t.laws for t in tries])
-        loss = [
-            float((np.square(e) * weight).sum()) + trials.pull_loss(t)
-            for e, t in zip(errors_of_tries, tries, strict=True)
-        ]
-        best = int(np.argmin(loss))
+        for factors in ((1e-3, 1.0), (30.0, 1e3)):  # the longer steps nearly always do
+            sizes = damping * np.array(factors)
+            steps = [solve_within(total + z * diagonal, right, *room) for z in sizes]
+            tries = [trials.step_from(model, step) for step in steps]
+            errors_of_tries = trials.errors([t.laws for t in tries])
+            loss = [
+                float((np.square(e) * weight).sum()) + trials.pull_loss(t)
+                for e, t in zip(errors_of_tries, tries, strict=True)
+            ]
+            best = int(np.argmin(loss))
+            if loss[best] < before:
+                break
         if not loss[best] < before:
             break
         model, error, rounds = tries[best], errors_of_tries[best], rounds - 1
@@ -225,19 +230,27 @@ def polish_laws(trials: WholeTrials, model: FittedServos, rounds: int = 8) -> Po
     return PolishedLaws(model, error, hess, slope, _jackknife_steps(trials, model, hess, slope))
 
 
-def _linearise(trials: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray):
-    """Normal equations by piece, by differences."""
+def _linearise(
+    trials: WholeTrials, model: FittedServos, error: np.ndarray, weight: np.ndarray, apart: bool
+):
+    """Normal equations by piece, by differences. apart: as if a joint's numbers moved no other
+    joint, which closed loops nearly hold: then all joints change at once.
+    """
     at = model.coordinates
     size = np.array([STEP.get(name, OTHER_STEP) for _, name in at])
-    changed = [trials.step_from(model, row) for row in np.diag(size)]
+    keys = [name if apart and j != SHARED_BY_ALL else (j, name) for j, name in at]
+    alone = list(dict.fromkeys(keys))
+    changed = [trials.step_from(model, size * [k == key for k in keys]) for key in alone]
     count = len(trials.recording.pieces)
     hess, slope = np.zeros((count, len(at), len(at))), np.zeros((count, len(at)))
     if not at:
         return hess, slope
     base_error, *changed_errors = trials.errors([m.laws for m in (model, *changed)], roughly=True)
-    derivative = np.stack(
-        [(e - base_error) / h for e, h in zip(changed_errors, size, strict=True)], -1
-    )
+    change = {key: e - base_error for key, e in zip(alone, changed_errors, strict=True)}
+    derivative = np.stack([change[k] / h for k, h in zip(keys, size, strict=True)], -1)
+    if apart:
+        own = [[j in (k, SHARED_BY_ALL) for j, _ in at] for k in range(len(model.fits))]
+        derivative *= np.array(own)
     for i in range(count):
         rows = trials.block == i
         d = derivative[rows]

@@ -59,10 +59,10 @@ def fitted_rival(trials: WholeTrials, model: FittedServos, polished: PolishedLaw
     """Fit other servos to whole trials, in a few rounds alone where these leave far more than what
     was found.
     """
-    rival = polish_laws(trials, model, rounds=3)
+    rival = polish_laws(trials, model, rounds=3, apart=True)
     if log_error(trials, rival) > log_error(trials, polished) + CLOSED_LOOP.hopeless:
         return rival
-    return polish_laws(trials, rival.model, rounds=5)
+    return polish_laws(trials, rival.model, rounds=5, apart=True)
 
 
 def or_rival(trials: WholeTrials, polished: PolishedLaws, file: Sequence[ServoLaw]) -> PolishedLaws:
