@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import re
+import runpy
 import sys
 import textwrap
 from pathlib import Path
@@ -20,6 +21,7 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+CODES = Path(__file__).with_name("codes.py")
 RULES = "<!-- the table of rules, from adaptsim_jax/diagnosis/rules.py -->"
 SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping", "environment")
@@ -31,6 +33,7 @@ def pages() -> dict[str, str]:
         "reference/cli.md": command_line(),
         "reference/config.md": configuration(),
         "reference/effects.md": effects(),
+        "reference/errors.md": runpy.run_path(str(CODES))["page"](),
         "explanation/rules.md": rules(),
     }
 
