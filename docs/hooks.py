@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import re
 import runpy
 import sys
@@ -21,6 +22,7 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+NOTEBOOKS = Path(__file__).with_name("notebooks")
 CODES = Path(__file__).with_name("codes.py")
 RULES = "<!-- the table of rules, from adaptsim_jax/diagnosis/rules.py -->"
 SHARED = {"--help", "--seed", "--no-cache"}
@@ -34,6 +36,10 @@ def pages() -> dict[str, str]:
         "reference/config.md": configuration(),
         "reference/effects.md": effects(),
         "reference/errors.md": runpy.run_path(str(CODES))["page"](),
+        **{
+            f"notebooks/{path.stem}.md": notebook(path)
+            for path in sorted(NOTEBOOKS.glob("*.ipynb"))
+        },
         "explanation/rules.md": rules(),
     }
 
@@ -74,6 +80,18 @@ def with_outputs(markdown: str, outputs: Path) -> str:
         return f"{match[0]}\n```{{.text .output}}\n{text}\n```\n"
 
     return BLOCK.sub(shown, markdown)
+
+
+def notebook(path: Path) -> str:
+    """A page of the cells of a notebook, with the notebook to download."""
+    parts = [
+        "".join(cell["source"])
+        if cell["cell_type"] == "markdown"
+        else f"```python\n{''.join(cell['source'])}\n```"
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]
+    ]
+    title, _, rest = parts[0].partition("\n")
+    return "\n\n".join([f"{title}\n\n[The notebook]({path.name}).\n{rest}", *parts[1:]]) + "\n"
 
 
 def rules() -> str:
