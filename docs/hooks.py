@@ -25,6 +25,7 @@ BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_
 NOTEBOOKS = Path(__file__).with_name("notebooks")
 CODES = Path(__file__).with_name("codes.py")
 RULES = "<!-- the table of rules, from adaptsim_jax/diagnosis/rules.py -->"
+SCHEMA = "reference/report.schema.json"
 SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping", "environment")
 
@@ -48,7 +49,7 @@ def on_files(files: Any, config: Any) -> Any:
     """MkDocs: adds the generated pages."""
     from mkdocs.structure.files import File
 
-    for place, text in pages().items():
+    for place, text in {**pages(), SCHEMA: schema()}.items():
         files.append(File.generated(config, place, content=text))
     return files
 
@@ -109,6 +110,14 @@ def rules() -> str:
         "own.\n\n"
         f"{table()}\n## Other steps\n\n| code | words |\n| --- | --- |\n{steps}\n"
     )
+
+
+def schema() -> str:
+    """The JSON Schema of `report.json`, for programs that are not in Python."""
+    from adaptsim_jax.diagnosis.schema import report_schema
+
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "report.json"}
+    return json.dumps(head | report_schema(), indent=1) + "\n"
 
 
 def command_line() -> str:
