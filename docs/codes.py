@@ -37,6 +37,8 @@ ROOMS = {
     "learners": ("LEARN", "Learners"),
     "adaptation": ("ADAPT", "Training, adaptation, sweeps"),
     "baselines": ("BASE", "Comparisons"),
+    "control": ("CTRL", "Controllers"),
+    "report": ("REPORT", "Pages and pictures"),
 }
 HEAD = f"""# Codes of bad input: by the function that makes a message, each with words that no other
 # message of that function has. `python docs/codes.py` writes it. A code keeps its meaning; those
