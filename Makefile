@@ -8,7 +8,7 @@ DEMO_OUT ?= demo_out
 export JAX_COMPILATION_CACHE_DIR ?= $(CURDIR)/.cache/jax
 export PIP_DISABLE_PIP_VERSION_CHECK ?= 1
 
-.PHONY: demo test test-long test-all lint format bench docs tutorials clean help
+.PHONY: demo test test-long test-all lint format bench docs tutorials dist check-dist clean help
 .DEFAULT_GOAL := help
 
 help:
@@ -20,6 +20,8 @@ help:
 	@echo "make bench   one table of speeds beside their peers, bench/table.md; ten minutes at most"
 	@echo "make docs    the documentation as a site, strictly, in build/site"
 	@echo "make tutorials  run the tutorials' blocks, and keep what they print and draw beside them"
+	@echo "make dist    a wheel and a source archive in dist"
+	@echo "make check-dist  install each into an empty environment, and run the demo there in an empty folder"
 	@echo "make clean   remove $(VENV) and what the other targets wrote"
 
 demo: $(VENV)/.core
@@ -59,8 +61,20 @@ docs: $(VENV)/.docs
 tutorials: $(VENV)/.core
 	$(BIN)/python docs/run_blocks.py
 
+dist: $(VENV)/.core
+	rm -rf build/lib build/bdist* dist
+	$(BIN)/python -m pip wheel --quiet --no-deps --no-build-isolation --wheel-dir dist .
+	$(BIN)/python -c "from setuptools.build_meta import build_sdist as build; build('dist')" > /dev/null
+
+check-dist: dist
+	@set -e; for file in $(CURDIR)/dist/*.whl $(CURDIR)/dist/*.tar.gz; do \
+	  work=$$(mktemp -d); $(BIN)/python -m venv $$work/env; \
+	  $$work/env/bin/python -m pip install --quiet --no-compile -r requirements.lock $$file; \
+	  mkdir $$work/empty; cd $$work/empty; ../env/bin/adaptsim demo; cd $(CURDIR); rm -r $$work; \
+	  echo "installs, and runs the demo: $$file"; done
+
 clean:
-	rm -rf $(VENV) .cache demo_out bench build *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
+	rm -rf $(VENV) .cache demo_out bench build dist *.egg-info .pytest_cache .ruff_cache .hypothesis .benchmarks
 
 # A stamp is written only when its step ended well, so an interrupted install is taken up again.
 $(VENV)/.made:

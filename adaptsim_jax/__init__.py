@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from adaptsim_jax.tasks.registry import make_one_shot as make_one_shot
     from adaptsim_jax.tasks.registry import make_task as make_task
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = [
     "BadInput",
     "Channel",

@@ -65,7 +65,7 @@ def main(argv: list[str] | None = None) -> int:
             return stop.code
         return FAILED
     except BadInput as error:
-        return _report(str(error), BAD_INPUT)
+        return _report(error.coded, BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(args, "resume_hint", None)
         return _report(

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
+import json
 import re
+import runpy
 import sys
 import textwrap
 from pathlib import Path
@@ -20,7 +22,10 @@ from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import command_parser
 
 BLOCK = re.compile(r"^```(?:bash|python)\n.*?^```\n", re.S | re.M)  # as of run_blocks.py
+NOTEBOOKS = Path(__file__).with_name("notebooks")
+CODES = Path(__file__).with_name("codes.py")
 RULES = "<!-- the table of rules, from adaptsim_jax/diagnosis/rules.py -->"
+SCHEMA = "reference/report.schema.json"
 SHARED = {"--help", "--seed", "--no-cache"}
 TASKS = ("pendulum", "pushing", "scooping", "environment")
 
@@ -31,6 +36,11 @@ def pages() -> dict[str, str]:
         "reference/cli.md": command_line(),
         "reference/config.md": configuration(),
         "reference/effects.md": effects(),
+        "reference/errors.md": runpy.run_path(str(CODES))["page"](),
+        **{
+            f"notebooks/{path.stem}.md": notebook(path)
+            for path in sorted(NOTEBOOKS.glob("*.ipynb"))
+        },
         "explanation/rules.md": rules(),
     }
 
@@ -39,7 +49,7 @@ def on_files(files: Any, config: Any) -> Any:
     """MkDocs: adds the generated pages."""
     from mkdocs.structure.files import File
 
-    for place, text in pages().items():
+    for place, text in {**pages(), SCHEMA: schema()}.items():
         files.append(File.generated(config, place, content=text))
     return files
 
@@ -73,6 +83,18 @@ def with_outputs(markdown: str, outputs: Path) -> str:
     return BLOCK.sub(shown, markdown)
 
 
+def notebook(path: Path) -> str:
+    """A page of the cells of a notebook, with the notebook to download."""
+    parts = [
+        "".join(cell["source"])
+        if cell["cell_type"] == "markdown"
+        else f"```python\n{''.join(cell['source'])}\n```"
+        for cell in json.loads(path.read_text(encoding="utf-8"))["cells"]
+    ]
+    title, _, rest = parts[0].partition("\n")
+    return "\n\n".join([f"{title}\n\n[The notebook]({path.name}).\n{rest}", *parts[1:]]) + "\n"
+
+
 def rules() -> str:
     """Why an effect is refused, from the records of the rules."""
     from adaptsim_jax.diagnosis.rules import STEPS, table
@@ -88,6 +110,14 @@ def rules() -> str:
         "own.\n\n"
         f"{table()}\n## Other steps\n\n| code | words |\n| --- | --- |\n{steps}\n"
     )
+
+
+def schema() -> str:
+    """The JSON Schema of `report.json`, for programs that are not in Python."""
+    from adaptsim_jax.diagnosis.schema import report_schema
+
+    head = {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "report.json"}
+    return json.dumps(head | report_schema(), indent=1) + "\n"
 
 
 def command_line() -> str:

@@ -28,7 +28,9 @@ def test_every_page_is_on_the_site_and_every_entry_is_a_page():
         "reference/cli.md",
         "reference/config.md",
         "reference/effects.md",
+        "reference/errors.md",
         "explanation/rules.md",
+        *(f"notebooks/{path.stem}.md" for path in (DOCS / "notebooks").glob("*.ipynb")),
     }
     assert named - made == {str(path.relative_to(DOCS)) for path in DOCS.rglob("*.md")}
 

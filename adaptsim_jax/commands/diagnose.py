@@ -52,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
         read = mechanism
     else:
         read = pendulum
+    if args.rerun:
+        check_rerun(read)
     judge = read(args, split_names(args.without))  # refused before anything is written
     from adaptsim_jax.diagnosis.written import faults_into
     from adaptsim_jax.mend.randomisation import write_randomisation
@@ -59,7 +61,35 @@ def run(args: argparse.Namespace) -> int:
     with output(args.out) as out, faults_into(out), progress("diagnose") as report:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
         write_randomisation(out)
+        if args.rerun:
+            write_rerun(data, out)
     return print_answer(args, result, out, replays=task is None and not named)
+
+
+def check_rerun(read: Any) -> None:
+    """BadInput where no recording for Rerun can be made."""
+    from adaptsim_jax.report.rerun import rerun_module
+
+    if read not in (mechanism, pendulum):
+        raise BadInput("--rerun: shows machines of joints alone; leave it out")
+    rerun_module()
+
+
+def write_rerun(data: Path, out: Path) -> None:
+    """Write `report.rrd` of the declared and the mended model, over the recordings."""
+    import mujoco
+
+    from adaptsim_jax.attribution.replay import replay_files
+    from adaptsim_jax.report.rerun import NAME, save_rerun
+
+    names = ("declared", "declared.xml"), ("mended", "model.xml"), ("mended", "model.toml")
+    files = {name: out / file for name, file in names if (out / file).exists()}
+    if not files:
+        print(f"no {NAME}: no model was written", file=sys.stderr)
+        return
+    replays = {name: replay_files(file, data) for name, file in files.items()}
+    shapes = files.get("declared", out / "model.xml")
+    save_rerun(out / NAME, replays, mujoco.MjModel.from_xml_path(str(shapes)))
 
 
 def check_folders(data: Path, out: Path) -> None:

@@ -55,6 +55,7 @@ EXTRAS = {
     "environments": "environments of Playground, Brax and gymnax",
     "ros": "bags of ROS 1 and 2, MCAP",
     "lerobot": "data sets of LeRobot",
+    "rerun": "a diagnosis for the viewer Rerun",
     "sbi": "sbi's estimators beside ours",
     "video": "films as MP4",
     "cluster": "sweeps over hosts by Ray",

@@ -17,10 +17,9 @@ EXAMPLES = """
   adaptsim train pendulum --run runs/c --config runs/a/config.toml
   adaptsim train pushing --run runs/p
   adaptsim train pushing --run runs/q --preset paper-pushing       as the paper trains it: a policy at each visit
-  adaptsim train pendulum --run runs/d --model out/model.toml      on the model that `adaptsim diagnose` mended
   adaptsim train examples/env.toml --run runs/e                    an environment: Playground's, gymnax's, or your own
   adaptsim train env.toml --run runs/f --diagnosis out             Omega and E's first mean from randomisation.toml
-  adaptsim train pushing --run runs/m --model out/model.toml       likewise; adapt, compare and robot then go by it
+  adaptsim train pushing --run runs/m --model out/model.toml       on the model that `adaptsim diagnose` mended; adapt, compare and robot then go by it
 """  # noqa: E501
 
 

@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
+import tomllib
 import unicodedata
 from collections.abc import Iterable
+from functools import cache
+from pathlib import Path
 from typing import Any
 
 # ---------------------------------------------------------------- what was given
@@ -57,12 +61,38 @@ def one_line(text: str) -> str:
 class BadInput(ValueError):
     """Input that cannot be used. Its message is one line: what (file, row, key), why, and the mend.
 
-    The command line prints the message and exits with code 2; library callers may catch it as a
-    ValueError. Names that files hold may break a line: they are escaped.
+    The command line prints the message with its `code` and exits with 2; library callers may catch
+    it as a ValueError. Names that files hold may break a line: they are escaped.
     """
 
     def __init__(self, message: str = "") -> None:
         super().__init__(one_line(str(message)))
+        caller = sys._getframe(1)
+        self.place = f"{caller.f_globals.get('__name__')}:{caller.f_code.co_qualname}"
+
+    @property
+    def code(self) -> str:
+        """The kind of fault, as `E-LOG-007`: the same in every version. Of a message that repeats
+        another's words, that one's code; empty where code outside of the package raised it.
+        """
+        for code, words in fault_codes().get(self.place, {}).items():  # empty words stand last
+            if words in str(self):
+                repeated = self.__context__
+                return repeated.code if not words and isinstance(repeated, BadInput) else code
+        return ""
+
+    @property
+    def coded(self) -> str:
+        """The message with its code at the end."""
+        return f"{self} [{self.code}]".removesuffix(" []")
+
+
+@cache
+def fault_codes() -> dict[str, dict[str, str]]:
+    """Words by which a message is known, by `module:function` that makes it and by code, as
+    `docs/codes.py` keeps them.
+    """
+    return tomllib.loads(Path(__file__).with_name("codes.toml").read_text(encoding="utf-8"))
 
 
 def check_counts(record: Any, names: Iterable[str], where: str = "", mark: str = ":") -> None:

@@ -206,7 +206,7 @@ def _table_of(value: Mapping[str, Any]) -> Table:
     return {"type": "object", "additionalProperties": value}
 
 
-def _report_schema() -> Table:
+def report_schema() -> Table:
     """The JSON Schema of a report, draft 2020-12 and the keyword `ordered` (`_is_ordered`)."""
     ends = {"type": ["array", "null"], "minItems": 2, "maxItems": 2, "ordered": True}
     intervals = {"intervals": {"type": ["object", "null"], "additionalProperties": ends}}
@@ -250,7 +250,7 @@ def _validator() -> Any:
     # a tenth of a second, which a command that reads no report does not spend
     from jsonschema import Draft202012Validator, validators
 
-    return validators.extend(Draft202012Validator, {"ordered": _is_ordered})(_report_schema())
+    return validators.extend(Draft202012Validator, {"ordered": _is_ordered})(report_schema())
 
 
 def _is_ordered(_validator: Any, _wanted: bool, ends: Any, _schema: Any) -> Iterator[Any]:

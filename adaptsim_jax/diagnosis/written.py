@@ -61,7 +61,7 @@ def fault_line(folder: Path, error: Exception) -> str:
     """
     text = " ".join(str(error).split()) or type(error).__name__
     if isinstance(error, BadInput):
-        return text
+        return error.coded
     if isinstance(error, OSError):
         return f"{type(error).__name__}: {text}"
     with suppress(OSError), open(folder / FAULTS, "a", encoding="utf-8") as file:

@@ -104,7 +104,7 @@ def begin(
     try:
         return WrittenMeta(path, text, read_log(folder, names), "", guessed.ignored)
     except BadInput as error:
-        return WrittenMeta(path, text, None, str(error), guessed.ignored)
+        return WrittenMeta(path, text, None, error.coded, guessed.ignored)
 
 
 def _folder(data: Path, out: Path | None) -> Path:

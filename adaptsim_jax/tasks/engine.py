@@ -231,7 +231,7 @@ def engines_and_pairs(
         try:
             runs[name] = run(name)
         except BadInput as error:
-            engines.append({"engine": name, "ran": False, "why": str(error)})
+            engines.append({"engine": name, "ran": False, "why": error.coded})
             continue
         engines.append({"engine": name, "ran": True, **row(runs[name])})
     pairs = [{"pair": [a, b], **pair(runs[a], runs[b])} for a, b in itertools.combinations(runs, 2)]

@@ -1,16 +1,18 @@
 """`adaptsim doctor` names each optional part that is absent, and the line that installs it."""
 
-import importlib.metadata
 import re
+import tomllib
+from pathlib import Path
 
 from adaptsim_jax.commands import doctor
 
+ROOT = Path(__file__).parents[2]
 OF_DEVELOPERS = {"test", "docs", "dev", "bench"}
 
 
 def test_every_optional_part_is_known():
-    declared = importlib.metadata.metadata("adaptsim_jax").get_all("Provides-Extra")
-    assert set(doctor.EXTRAS) == set(declared or ()) - OF_DEVELOPERS
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert set(doctor.EXTRAS) == set(project["optional-dependencies"]) - OF_DEVELOPERS
 
 
 def test_what_is_absent_is_named_with_the_line_that_installs_it(monkeypatch, capsys):

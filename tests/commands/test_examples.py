@@ -15,6 +15,7 @@ from adaptsim_jax.cli import parse
 from adaptsim_jax.commands import SUMMARIES
 from adaptsim_jax.commands.parser import task_word
 from adaptsim_jax.tasks.pushing import engines as pushing
+from adaptsim_jax.tasks.registry import TASKS
 from adaptsim_jax.tasks.scooping import engines as scooping
 
 ROOT = Path(__file__).parents[2]
@@ -43,6 +44,8 @@ def test_an_example_is_taken(line, where, monkeypatch):
     args = parse(shlex.split(line))
     assert callable(args.run)
     command = shlex.split(line)[0]
+    if command == "train" and args.model:
+        assert TASKS[args.task].of_model, "refused for this task"
     if command in ("train", "compare") and "--config" not in line and "--model" not in line:
         if args.task.endswith(".toml") and not (ROOT / args.task).exists():
             return  # a file that the reader has just made

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import pytest
 
+from adaptsim_jax import __version__
 from adaptsim_jax.core import config, store
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.core.store import RunFolder
@@ -92,12 +93,13 @@ def test_what_is_not_a_run_is_refused(tmp_path):
         RunFolder.open(tmp_path / "none")
     with pytest.raises(BadInput, match="not a run folder"):
         RunFolder.open(tmp_path)
+    head = f'schema = 1\nversion = "{__version__}"'
     for text, says in (
         ("schema = ", "not TOML"),
         ("a = 1", "written by adaptsim_jax None"),
-        ('schema = 1\nversion = "0.2.0"', "is missing"),
+        (head, "is missing"),
         ('schema = 1\nversion = "7.0.0"\ntask = "pendulum"\n[config]', "install that version"),
-        ('schema = 1\nversion = "0.2.0"\ntask = "pushing"\n[config]', "is of task 'pushing'"),
+        (f'{head}\ntask = "pushing"\n[config]', "is of task 'pushing'"),
     ):
         (tmp_path / store.CONFIG).write_text(text)
         with pytest.raises(BadInput, match=says):

@@ -2,6 +2,8 @@
 is judged.
 """
 
+import re
+
 import numpy as np
 import pytest
 
@@ -15,6 +17,7 @@ def refused(capsys, *words):
     assert main([str(w) for w in words]) == 2
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("adaptsim:")]
     assert len(told) == 1
+    assert re.search(r" \[E-[A-Z]+-\d{3}\]$", told[0]), told
     return told[0]
 
 

@@ -249,7 +249,7 @@ def pendulum_parity(samples: int, seed: int, progress: Report = silent, steps: i
             with jax.enable_x64(True):
                 end = np.asarray(make_backend(name).simulate(*inputs).state)[:, -1]
         except BadInput as error:
-            rows.append({"backend": name, "ran": False, "why": str(error)})
+            rows.append({"backend": name, "ran": False, "why": error.coded})
             continue
         reference = end if reference is None else reference
         rows.append({"backend": name, "ran": True, **_differences(end, reference)})
