@@ -1,0 +1,282 @@
+"""The numbers of one machine by trial and by log: what each says of them by itself, which of them
+contradict the others, and which numbers can be exchanged.
+
+A part of the recording (a trial, a log) by itself is the fit of all, one Gauss and Newton's step on
+by its own normal equations; what it does not show stays as all have it. How far it may be off is
+told by leaving out its own parts in turn (blocks of a trial, trials of a log: the jackknife). Then
+Cochran's Q (1954) tells whether all parts have one value, and a t test of each against the others,
+by Holm's step-down over all, which are apart.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from adaptsim_jax.core.config import Table
+from adaptsim_jax.diagnosis.criteria import NUMBERS
+from adaptsim_jax.diagnosis.testing import deviates, holm, jackknife
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number of a machine. slope: [P] by the vector that was fitted; wide: half of its interval
+    by the fit.
+    """
+
+    name: str
+    unit: str
+    value: float
+    wide: float
+    slope: np.ndarray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What blocks of rows say of a vector, about a fit of all.
+
+    Args:
+        hess, slope: Normal equations [B, P, P], [B, P] by block, without the prior.
+        prior, pull: The prior's curvature [P, P] and slope [P].
+        trial: [B] number of the trial of each block.
+    """
+
+    hess: np.ndarray
+    slope: np.ndarray
+    prior: np.ndarray
+    pull: np.ndarray
+    trial: np.ndarray
+
+
+@dataclass(frozen=True)
+class Parts:
+    """What U parts of a recording say of M numbers, each by itself: off [U, M] from the value of
+    all, NaN where it tells nothing; variance [U, M], with so many degrees of freedom.
+    """
+
+    off: np.ndarray
+    variance: np.ndarray
+    freedom: int
+
+    @property
+    def weight(self) -> np.ndarray:
+        """[U, M], 0 where nothing is told."""
+        told = np.isfinite(self.off) & (self.variance > 0.0)
+        return np.where(told, 1.0 / np.where(told, self.variance, 1.0), 0.0)
+
+    @property
+    def count(self) -> np.ndarray:
+        """[M] parts that tell of a number."""
+        return (self.weight > 0.0).sum(0)
+
+    @property
+    def mean(self) -> np.ndarray:
+        """[M] weighted."""
+        return _share(self.weight, np.nan_to_num(self.off)).sum(0)
+
+    @property
+    def scatter(self) -> np.ndarray:
+        """[U, M] from the mean, 0 where nothing is told."""
+        return np.where(self.weight > 0.0, np.nan_to_num(self.off) - self.mean, 0.0)
+
+
+def _share(weight: np.ndarray, z: np.ndarray) -> np.ndarray:
+    """Parts [U, M] of a weighted mean."""
+    return weight * z / np.maximum(weight.sum(0), 1e-300)
+
+
+def tabled(
+    numbers: Sequence[Number], evidence: Evidence, trials: Sequence[str], labels: Sequence[str]
+) -> list[Table]:
+    """Rows of `numbers` of a report.
+
+    Args:
+        numbers: Of one vector.
+        evidence: What was recorded says of it.
+        trials: Names of the trials.
+        labels: Of the log of each trial; the trial's own name where there is one log.
+
+    Returns:
+        `{name, unit, value, low, high, trials, logs, p, each, apart, like}`: standard deviation
+        over trials and over logs (None of one), p of all logs (of one log: trials) having one
+        value, what each says by itself, which are outside of what the others allow, and with which
+        numbers it can be exchanged. Numbers of which no part tells by itself are not there.
+    """
+    named = list(dict.fromkeys(labels))
+    by = np.stack([n.slope for n in numbers])
+    every, step, e = _scaled(evidence)
+    size = 1.0 / np.sqrt(np.diagonal(evidence.hess.sum(0) + evidence.prior))
+    by = by * size
+    values = np.array([n.value for n in numbers]) + by @ step
+    cov = by @ np.linalg.pinv(every, rcond=1e-10, hermitian=True) @ by.T
+    like = cov / np.sqrt(np.outer(np.diagonal(cov), np.diagonal(cov)) + 1e-300)
+    blocks = np.arange(len(e.trial))
+    by_trial = _alone(by, e, every, e.trial, blocks, len(trials))
+    by_log, pooled = by_trial, named != list(trials)
+    if pooled:
+        log = np.array([named.index(label) for label in labels])[e.trial]
+        free = len(trials) - len(named)
+        within = e.trial if free >= NUMBERS.min_freedom else blocks
+        by_log = _alone(by, e, every, log, within, len(named))
+    spreads, between = [_spread(p) for p in (by_trial, by_log)], _between(by_log)
+    p, apart = _cochran(by_log), _apart(by_log)
+    rows = []
+    for m in np.flatnonzero(by_log.count > 0):
+        wide = max(numbers[m].wide, between[m])
+        some = np.flatnonzero(np.abs(like[m]) > NUMBERS.exchanged)
+        rows.append(
+            {
+                "name": numbers[m].name,
+                "unit": numbers[m].unit,
+                "value": values[m],
+                "low": values[m] - wide,
+                "high": values[m] + wide,
+                "trials": spreads[0][m],
+                "logs": spreads[1][m] if pooled else None,
+                "p": p[m],
+                "each": _each(by_log, m, values[m], named),
+                "apart": [named[u] for u in np.flatnonzero(apart[:, m])],
+                "like": [
+                    {"name": numbers[k].name, "correlation": like[m, k]} for k in some if k != m
+                ],
+            }
+        )
+    return rows
+
+
+def _scaled(e: Evidence) -> tuple[np.ndarray, np.ndarray, Evidence]:
+    """Curvature of all [P, P] by entries of size 1, the step [P] that all blocks ask for, and what
+    they say after it.
+    """
+    every = e.hess.sum(0) + e.prior
+    size = 1.0 / np.sqrt(np.diagonal(every))
+    both = np.outer(size, size)
+    every, hess, slope = every * both, e.hess * both, e.slope * size
+    step = np.linalg.pinv(every, rcond=1e-10, hermitian=True) @ (slope.sum(0) + e.pull * size)
+    return every, step, Evidence(hess, slope - hess @ step, e.prior * both, 0.0 * step, e.trial)
+
+
+def _alone(
+    by: np.ndarray, e: Evidence, every: np.ndarray, part: np.ndarray, within: np.ndarray, count: int
+) -> Parts:
+    """What parts say by themselves.
+
+    Args:
+        by: [M, P] numbers by entries.
+        e, every: As of `_scaled`.
+        part: [B] of each block, of `count`.
+        within: [B] what is left out in turn, of each block.
+    """
+    held = NUMBERS.held * every
+    off = np.full((count, len(by)), np.nan)
+    modelled, times, freedom = np.ones_like(off), np.full_like(off, np.nan), 0
+    for u in np.unique(part):
+        mine = part == u
+        hess, slope = e.hess[mine].sum(0), e.slope[mine].sum(0)
+        way = np.linalg.solve(hess + held, by.T).T
+        told = 2.0 * np.einsum("mp,pq,mq->m", way, held, way) < np.einsum("mp,mp->m", way, by)
+        off[u] = np.where(told, way @ slope, np.nan)
+        modelled[u] = np.einsum("mp,pq,mq->m", way, hess, way)
+        left = [mine & (within == k) for k in np.unique(within[mine])]
+        if len(left) > 1:
+            freedom += len(left) - 1
+            less = [(hess - e.hess[k].sum(0) + held, slope - e.slope[k].sum(0)) for k in left]
+            error = jackknife(np.stack([np.linalg.solve(*each) for each in less]) @ by.T)
+            times[u] = np.where(told, np.square(error) / np.maximum(modelled[u], 1e-300), np.nan)
+    known = np.isfinite(times).any(0)
+    factor = np.nanmean(np.where(known, times, 0.0), 0)
+    return Parts(off, factor * modelled, freedom)
+
+
+def _spread(parts: Parts) -> list[float | None]:
+    """Standard deviation [M] of what parts say, weighted; None of one."""
+    square = _share(parts.weight, np.square(parts.scatter)).sum(0)
+    count = parts.count
+    root = np.sqrt(square * count / np.maximum(count - 1, 1))
+    return [float(z) if n > 1 else None for z, n in zip(root, count, strict=True)]
+
+
+def _between(parts: Parts) -> np.ndarray:
+    """Half of the interval [M] of numbers of which the parts are a sample; 0 of few parts."""
+    count = parts.count
+    square = np.square(_share(parts.weight, parts.scatter)).sum(0)
+    error = np.sqrt(square * count / np.maximum(count - 1, 1))
+    many = count >= NUMBERS.min_parts
+    return np.array(
+        [deviates(n) * z if k else 0.0 for n, z, k in zip(count, error, many, strict=True)]
+    )
+
+
+def _each(parts: Parts, m: int, value: float, names: Sequence[str]) -> list[Table]:
+    """What each part says by itself, with its interval."""
+    rows = []
+    ends = deviates(parts.freedom + 1) * np.sqrt(parts.variance[:, m])
+    for name, off, half in zip(names, parts.off[:, m], ends, strict=True):
+        if np.isfinite(off):
+            one = value + off
+            rows.append({"of": name, "value": one, "low": one - half, "high": one + half})
+    return rows
+
+
+def _cochran(parts: Parts) -> np.ndarray:
+    """p [M] of all parts having one value, NaN where that cannot be asked."""
+    between = (parts.weight * np.square(parts.scatter)).sum(0)
+    free = np.where((parts.count > 1) & (parts.freedom > 0), parts.count - 1, np.nan)
+    return stats.f.sf(between / free, free, max(parts.freedom, 1))
+
+
+def _apart(parts: Parts) -> np.ndarray:
+    """Which parts [U, M] are outside of what the others say, by Holm's step-down over all parts
+    and numbers; of each number the farthest first, then of the others again. Of two both are.
+    """
+    apart = np.zeros(parts.off.shape, bool)
+    while True:
+        left = Parts(np.where(apart, np.nan, parts.off), parts.variance, parts.freedom)
+        p = _against_others(left)
+        p[:, apart.any(0) & (left.count < NUMBERS.min_parts)] = np.nan
+        asked = np.argwhere(np.isfinite(p))
+        found = asked[holm(p[tuple(asked.T)], NUMBERS.level, NUMBERS.blocks) > 0.0]
+        if not len(found):
+            return apart
+        for m in np.unique(found[:, 1]):
+            far = [np.nanargmin(p[:, m])] if left.count[m] > 2 else np.isfinite(p[:, m])
+            apart[far, m] = True
+
+
+def _against_others(parts: Parts) -> np.ndarray:
+    """p [U, M] of each part having the value of the others; NaN where there is no other."""
+    weight = parts.weight
+    rest = weight.sum(0) - weight
+    known = (weight > 0.0) & (rest > 0.0) & (parts.freedom > 0)
+    off = np.nan_to_num(parts.off)
+    others = ((weight * off).sum(0) - weight * off) / np.where(known, rest, 1.0)
+    error = np.sqrt(1.0 / np.where(known, weight, 1.0) + 1.0 / np.where(known, rest, 1.0))
+    p = 2.0 * stats.t.sf(np.abs(off - others) / error, max(parts.freedom, 1))
+    return np.where(known, p, np.nan)
+
+
+def add_numbers(
+    report: Table, evidence: Table, rows: Sequence[Table], labels: Sequence[str]
+) -> None:
+    """Put the table into a report, and a warning for each log (trial) that is apart from the
+    others, in place. labels: of the logs, none of one log.
+    """
+    report["numbers"] = list(rows)
+    by: dict[str, list[str]] = {}
+    for row in rows:
+        for name in row["apart"]:
+            one = next(e["value"] for e in row["each"] if e["of"] == name)
+            told = f"{row['name']} ({one:.3g} {row['unit']}, of all {row['value']:.3g})"
+            by.setdefault(name, []).append(told)
+    kind = "log" if labels else "trial"
+    for name, told in by.items():
+        more = len(told) - NUMBERS.told
+        also = f"; and {more} more" if more > 0 else ""
+        line = (
+            f"The {kind} {name} contradicts the others: {'; '.join(told[: NUMBERS.told])}{also}. "
+            "Was something else mounted, or logged, there? Diagnose without it, and it alone."
+        )
+        report["warnings"] = [*report.get("warnings", []), line]
+        mark = {"severity": "warn", "where": "numbers", "message": line}
+        evidence["audit"] = [mark, *evidence.get("audit", [])]
