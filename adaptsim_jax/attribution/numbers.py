@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from adaptsim_jax.attribution.candidates import JointCandidate, entries_of
-from adaptsim_jax.attribution.equation.models import GroupSearch
+from adaptsim_jax.attribution.equation.models import GroupSearch, part_of
 from adaptsim_jax.attribution.equation.searched import EffectTable
 from adaptsim_jax.attribution.estimate import candidate_columns, normal
 from adaptsim_jax.attribution.inquiry import Examined
@@ -24,8 +24,10 @@ from adaptsim_jax.diagnosis.report import words
 from adaptsim_jax.effects.base import Reach
 from adaptsim_jax.effects.joints.actuator import DELAY
 
-LATE = "input late by"
-"""How the number is called that no model has: by how much the input comes after what it does."""
+LATE = "input logged late by"
+"""How the number is called that no model has: how much later than the angles the input stands in
+the log.
+"""
 
 
 def number_rows(e: Examined, fixed: Table) -> list[Table]:
@@ -56,8 +58,8 @@ def number_rows(e: Examined, fixed: Table) -> list[Table]:
             if np.any(slope):
                 some.append(replace(n, slope=slope))
         if at is not None:
-            late = np.eye(len(entries))[-1]
-            some.append(Number(f"{LATE}{at}", "s", 0.0, 0.0, late))
+            late = -np.eye(len(entries))[-1]  # a delay of the input is a record that is early
+            some.append(Number(f"{LATE}{at}", "s", 0.0, 0.0, late, fitted=False))
         rows += tabled(some, evidence, trials, labels) if some else []
     return rows
 
@@ -71,10 +73,13 @@ def _evidence(e: Examined):
     """By group of joints that are fitted apart: evidence, keys of its entries, and which joints
     the last of them, the delay, is of (None: it is none).
     """
-    late = _late(e.problem, e.found.final.fit.vector, e.found.reach)
-    if e.found.final.lin is None and e.by_torque is not None:
-        return [_of_balance(e.problem, w, late) for w in e.by_torque.searches]
-    return [_of_stretches(e, late)]
+    vector = e.found.final.fit.vector
+    late = _late(e.problem, vector, e.found.reach)
+    if e.by_torque is None:
+        return [_of_stretches(e, late)]
+    # linear, so that a log that is far away says by how much, whatever judged
+    searches = e.by_torque.searches
+    return [_of_balance(e.problem, w, part_of(vector, w.balance), late) for w in searches]
 
 
 def _late(problem: TreeProblem, vector: Vector, reach: Reach) -> JointCandidate | None:
@@ -87,11 +92,11 @@ def _late(problem: TreeProblem, vector: Vector, reach: Reach) -> JointCandidate 
     return JointCandidate(DELAY.name, joints, "common", entries, (("delay", reach.dt),))
 
 
-def _of_balance(problem: TreeProblem, w: GroupSearch, late: JointCandidate | None):
-    """Of the torque along the motion of a group."""
-    free = _free(w.final)
-    table = EffectTable(problem, w.balance, w.final)
-    entries, rows, where = [w.final.entries[i] for i in free], w.state.rows, None
+def _of_balance(problem: TreeProblem, w: GroupSearch, vector: Vector, late: JointCandidate | None):
+    """Of the torque along the motion of a group, about a vector of its entries."""
+    free = _free(vector)
+    table = EffectTable(problem, w.balance, vector)
+    entries, rows, where = [vector.entries[i] for i in free], w.state.rows, None
     columns = table.stack(entries)
     if late is not None:
         own = tuple(j for j in late.joints if j in w.balance.group.joints)
@@ -104,12 +109,14 @@ def _of_balance(problem: TreeProblem, w: GroupSearch, late: JointCandidate | Non
     hess = np.stack([np.einsum("kna,knb->ab", z, z) for z, _ in parts])
     slope = np.stack([np.einsum("kna,kn->a", z, y) for z, y in parts])
     first = [int(np.argmax(rows.block == b)) for b in range(count)]
-    evidence = _with_prior(hess, slope, entries, w.final, w.balance.trial[first])
+    evidence = _with_prior(hess, slope, entries, vector, w.balance.trial[first])
     return evidence, [k.key for k in entries], where
 
 
 def _of_stretches(e: Examined, late: JointCandidate | None):
-    """Of simulated stretches, their starts eliminated."""
+    """Of simulated stretches, their starts eliminated. A trial that is far from the fit of all
+    counts as any other: the weights of its stretches are over their median.
+    """
     problem, lin, vector = e.problem, e.found.final.lin, e.found.final.fit.vector
     shared, free, where = lin.shared, _free(vector), None
     entries = [vector.entries[i] for i in free]
@@ -119,10 +126,17 @@ def _of_stretches(e: Examined, late: JointCandidate | None):
         shared = [np.concatenate(pair, 2) for pair in zip(shared, more, strict=True)]
         entries, where = [*entries, *late.entries], ""
     trial = problem.groups[0].stretches.trial[: len(problem.fold)]
+    even = np.ones(problem.groups[0].stretches.count)
+    for t in np.unique(trial):
+        mine = np.flatnonzero(trial == t)
+        even[mine] = np.median(lin.fit.weights.stretch[mine]) ** -0.5
     block = pieces(trial, FOLD.test_pieces)
     count = block.max() + 1
     by_block = replace(problem, fold=block, folds=tuple(map(str, range(count))))
-    n = normal(by_block, lin.residual, lin.start, shared)
+    left, start, shared = (
+        [(z.T * even).T for z in parts] for parts in (lin.residual, lin.start, shared)
+    )
+    n = normal(by_block, left, start, shared)
     first = [int(np.argmax(block == b)) for b in range(count)]
     return (
         _with_prior(n.hess, n.slope, entries, vector, trial[first]),

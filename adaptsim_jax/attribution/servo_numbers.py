@@ -55,7 +55,7 @@ def number_rows(d: ServoDiagnosis) -> list[Table]:
     known = found.steps.shape[1]
     wide = d.found.ends() * jackknife(found.steps @ slope[:, :known].T)
     numbers = [
-        Number(_name(d, c), _unit(d, c), float(here[m]), float(wide[m]), slope[m])
+        Number(_name(d, c), _unit(d, c), float(here[m]), float(wide[m]), slope[m], c[1] not in more)
         for m, c in enumerate(at)
     ]
     labels = [d.machine.log.label_of(name) for name in trial_names]

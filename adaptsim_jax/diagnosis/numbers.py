@@ -21,8 +21,8 @@ from adaptsim_jax.diagnosis.testing import deviates, holm, jackknife
 
 @dataclass(frozen=True)
 class Number:
-    """A number of a machine. slope: [P] by the vector that was fitted; wide: half of its interval
-    by the fit.
+    """A number of a machine. slope: [P] by the vector; wide: half of its interval by the fit;
+    fitted: whether it was, or is what the parts say on the mean.
     """
 
     name: str
@@ -30,6 +30,7 @@ class Number:
     value: float
     wide: float
     slope: np.ndarray
+    fitted: bool = True
 
 
 @dataclass(frozen=True)
@@ -104,11 +105,8 @@ def tabled(
         numbers it can be exchanged. Numbers of which no part tells by itself are not there.
     """
     named = list(dict.fromkeys(labels))
-    by = np.stack([n.slope for n in numbers])
-    every, step, e = _scaled(evidence)
-    size = 1.0 / np.sqrt(np.diagonal(evidence.hess.sum(0) + evidence.prior))
-    by = by * size
-    values = np.array([n.value for n in numbers]) + by @ step
+    every, size, e = _scaled(evidence)
+    by = size * np.stack([n.slope for n in numbers])
     cov = by @ np.linalg.pinv(every, rcond=1e-10, hermitian=True) @ by.T
     like = cov / np.sqrt(np.outer(np.diagonal(cov), np.diagonal(cov)) + 1e-300)
     blocks = np.arange(len(e.trial))
@@ -121,6 +119,7 @@ def tabled(
         by_log = _alone(by, e, every, log, within, len(named))
     spreads, between = [_spread(p) for p in (by_trial, by_log)], _between(by_log)
     p, apart = _cochran(by_log), _apart(by_log)
+    values = [n.value + off * (not n.fitted) for n, off in zip(numbers, by_log.mean, strict=True)]
     rows = []
     for m in np.flatnonzero(by_log.count > 0):
         wide = max(numbers[m].wide, between[m])
@@ -146,15 +145,14 @@ def tabled(
 
 
 def _scaled(e: Evidence) -> tuple[np.ndarray, np.ndarray, Evidence]:
-    """Curvature of all [P, P] by entries of size 1, the step [P] that all blocks ask for, and what
-    they say after it.
+    """Curvature of all [P, P] by entries of size 1, their sizes [P], and what blocks say of them,
+    each with its part of the prior's pull.
     """
     every = e.hess.sum(0) + e.prior
     size = 1.0 / np.sqrt(np.diagonal(every))
     both = np.outer(size, size)
-    every, hess, slope = every * both, e.hess * both, e.slope * size
-    step = np.linalg.pinv(every, rcond=1e-10, hermitian=True) @ (slope.sum(0) + e.pull * size)
-    return every, step, Evidence(hess, slope - hess @ step, e.prior * both, 0.0 * step, e.trial)
+    slope = (e.slope + e.pull / len(e.slope)) * size
+    return every * both, size, Evidence(e.hess * both, slope, e.prior * both, 0.0 * size, e.trial)
 
 
 def _alone(

@@ -23,7 +23,9 @@ def recorded(off: dict[int, np.ndarray], seed: int, logs: int = LOGS):
                 y = x @ (truth + off.get(log, 0.0)) + rng.normal(size=ROWS)
                 rows.append((x, y))
                 trial.append(log * TRIALS + t)
-    fit = np.linalg.lstsq(np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows]))
+    fit = np.linalg.lstsq(
+        np.concatenate([x for x, _ in rows]), np.concatenate([y for _, y in rows])
+    )
     for x, y in rows:
         hess.append(x.T @ x)
         slope.append(x.T @ (y - x @ fit[0]))
