@@ -3,9 +3,9 @@ contradict the others, and which numbers can be exchanged.
 
 A part of the recording (a trial, a log) by itself is the fit of all, one Gauss and Newton's step on
 by its own normal equations; what it does not show stays as all have it. How far it may be off is
-told by leaving out its own parts in turn (blocks of a trial, trials of a log: the jackknife). Then
-Cochran's Q (1954) tells whether all parts have one value, and a t test of each against the others,
-by Holm's step-down over all, which are apart.
+told by leaving out its own parts in turn (blocks of a trial, trials of a log: the jackknife). A t
+test of each part against all others, by Holm's step-down over parts and numbers, tells which are
+apart.
 """
 
 from collections.abc import Sequence
@@ -99,10 +99,10 @@ def tabled(
         labels: Of the log of each trial; the trial's own name where there is one log.
 
     Returns:
-        `{name, unit, value, low, high, trials, logs, p, each, apart, like}`: standard deviation
-        over trials and over logs (None of one), p of all logs (of one log: trials) having one
-        value, what each says by itself, which are outside of what the others allow, and with which
-        numbers it can be exchanged. Numbers of which no part tells by itself are not there.
+        `{name, unit, value, low, high, trials, logs, each, apart, like}`: standard deviation over
+        trials and over logs (None of one), what each log (of one log: trial) says by itself, which
+        are outside of what the others allow, and with which numbers it can be exchanged. Numbers of
+        which no part tells by itself are not there.
     """
     named = list(dict.fromkeys(labels))
     every, size, e = _scaled(evidence)
@@ -117,12 +117,14 @@ def tabled(
         free = len(trials) - len(named)
         within = e.trial if free >= NUMBERS.min_freedom else blocks
         by_log = _alone(by, e, every, log, within, len(named))
-    spreads, between = [_spread(p) for p in (by_trial, by_log)], _between(by_log)
-    p, apart = _cochran(by_log), _apart(by_log)
+    spreads, apart = [_spread(p) for p in (by_trial, by_log)], _apart(by_log)
+    half = deviates(by_log.freedom + 1) * np.sqrt(by_log.variance)
     values = [n.value + off * (not n.fitted) for n, off in zip(numbers, by_log.mean, strict=True)]
     rows = []
     for m in np.flatnonzero(by_log.count > 0):
-        wide = max(numbers[m].wide, between[m])
+        wide, count = numbers[m].wide, by_log.count[m]
+        if count >= NUMBERS.min_parts:  # the logs are a sample, too
+            wide = max(wide, deviates(count) * spreads[1][m] / np.sqrt(count))
         some = np.flatnonzero(np.abs(like[m]) > NUMBERS.exchanged)
         rows.append(
             {
@@ -133,8 +135,13 @@ def tabled(
                 "high": values[m] + wide,
                 "trials": spreads[0][m],
                 "logs": spreads[1][m] if pooled else None,
-                "p": p[m],
-                "each": _each(by_log, m, values[m], named),
+                "each": [
+                    {"of": name, "value": one, "low": one - wide, "high": one + wide}
+                    for name, one, wide in zip(
+                        named, numbers[m].value + by_log.off[:, m], half[:, m], strict=True
+                    )
+                    if np.isfinite(one)
+                ],
                 "apart": [named[u] for u in np.flatnonzero(apart[:, m])],
                 "like": [
                     {"name": numbers[k].name, "correlation": like[m, k]} for k in some if k != m
@@ -187,41 +194,11 @@ def _alone(
     return Parts(off, factor * modelled, freedom)
 
 
-def _spread(parts: Parts) -> list[float | None]:
-    """Standard deviation [M] of what parts say, weighted; None of one."""
+def _spread(parts: Parts) -> np.ndarray:
+    """Standard deviation [M] of what parts say, weighted; NaN of one."""
+    count = np.where(parts.count > 1, parts.count, np.nan)
     square = _share(parts.weight, np.square(parts.scatter)).sum(0)
-    count = parts.count
-    root = np.sqrt(square * count / np.maximum(count - 1, 1))
-    return [float(z) if n > 1 else None for z, n in zip(root, count, strict=True)]
-
-
-def _between(parts: Parts) -> np.ndarray:
-    """Half of the interval [M] of numbers of which the parts are a sample; 0 of few parts."""
-    count = parts.count
-    square = np.square(_share(parts.weight, parts.scatter)).sum(0)
-    error = np.sqrt(square * count / np.maximum(count - 1, 1))
-    many = count >= NUMBERS.min_parts
-    return np.array(
-        [deviates(n) * z if k else 0.0 for n, z, k in zip(count, error, many, strict=True)]
-    )
-
-
-def _each(parts: Parts, m: int, value: float, names: Sequence[str]) -> list[Table]:
-    """What each part says by itself, with its interval."""
-    rows = []
-    ends = deviates(parts.freedom + 1) * np.sqrt(parts.variance[:, m])
-    for name, off, half in zip(names, parts.off[:, m], ends, strict=True):
-        if np.isfinite(off):
-            one = value + off
-            rows.append({"of": name, "value": one, "low": one - half, "high": one + half})
-    return rows
-
-
-def _cochran(parts: Parts) -> np.ndarray:
-    """p [M] of all parts having one value, NaN where that cannot be asked."""
-    between = (parts.weight * np.square(parts.scatter)).sum(0)
-    free = np.where((parts.count > 1) & (parts.freedom > 0), parts.count - 1, np.nan)
-    return stats.f.sf(between / free, free, max(parts.freedom, 1))
+    return np.sqrt(square * count / (count - 1.0))
 
 
 def _apart(parts: Parts) -> np.ndarray:

@@ -11,7 +11,7 @@ it finds them; all but the last two are checked:
     warnings, notes       [sentence]                                        of the audit and the
     reader. The terminal shows them too trials                {differ, leave_out, headline, each:
     [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
-    numbers               [{name, unit, value, low, high, trials, logs, p, each, apart, like}] by
+    numbers               [{name, unit, value, low, high, trials, logs, each, apart, like}] by
     trial and log (`diagnosis.numbers`)
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
@@ -233,7 +233,7 @@ def _report_schema() -> Table:
     part = {"of": TEXT, "value": NUMBER, "low": NUMBER, "high": NUMBER}
     like = {"name": TEXT, "correlation": NUMBER | {"minimum": -1, "maximum": 1}}
     number = {"name": TEXT, "unit": {"type": "string"}, "value": NUMBER, "low": NUMBER}
-    number |= {"high": NUMBER, "trials": SIZE, "logs": SIZE, "p": NUMBER, "apart": SENTENCES}
+    number |= {"high": NUMBER, "trials": SIZE, "logs": SIZE, "apart": SENTENCES}
     number |= {"each": _list_of(_record(part)), "like": _list_of(_record(like))}
     counted = {"anyOf": [{"type": "array"}, SIZE]}
     required = {

@@ -39,7 +39,6 @@ def recorded(off: dict[int, np.ndarray], seed: int, logs: int = LOGS):
 def test_the_log_that_differs_is_marked_at_the_number_that_differs():
     rows = tabled(*recorded({3: np.array([0.8, 0.0, 0.0])}, seed=0))
     assert [row["apart"] for row in rows] == [["day3"], [], []]
-    assert rows[0]["p"] < 1e-6 < rows[1]["p"]
     assert rows[0]["low"] < 1.0 < rows[0]["high"]  # an interval over days holds what most say
     own = {e["of"]: e for e in rows[0]["each"]}
     assert own["day3"]["low"] < 1.8 < own["day3"]["high"]
