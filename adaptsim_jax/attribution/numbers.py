@@ -120,14 +120,11 @@ def _free(vector: Vector) -> list[int]:
 
 
 def _evidence(vector: Vector, said: Sequence[Said]) -> Evidence:
-    """What all say of a vector. Of entries that nobody tells of anything is held."""
+    """What all say of a vector."""
     trial, size = np.concatenate([t for _, _, t in said]), len(vector)
     hess, slope, b = np.zeros((len(trial), size, size)), np.zeros((len(trial), size)), 0
     for at, n, own in said:
         rows = np.arange(b, b := b + len(own))
         hess[np.ix_(rows, at, at)], slope[np.ix_(rows, at)] = n.hess, n.slope
-    told = np.any(hess, (0, 1))
-    prior = np.where(told, vector.precision, 1.0)
-    return Evidence(
-        hess, slope, np.diag(prior), prior * (vector.start - vector.values) * told, trial
-    )
+    pull = vector.precision * (vector.start - vector.values)
+    return Evidence(hess, slope, np.diag(vector.precision), pull, trial)

@@ -156,6 +156,7 @@ def _scaled(e: Evidence) -> tuple[np.ndarray, np.ndarray, Evidence]:
     each with its part of the prior's pull.
     """
     every = e.hess.sum(0) + e.prior
+    every += np.diag(np.diagonal(every) <= 0.0)  # of these nobody tells
     size = 1.0 / np.sqrt(np.diagonal(every))
     both = np.outer(size, size)
     slope = (e.slope + e.pull / len(e.slope)) * size
