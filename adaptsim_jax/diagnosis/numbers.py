@@ -235,24 +235,30 @@ def _against_others(parts: Parts) -> np.ndarray:
 def add_numbers(
     report: Table, evidence: Table, rows: Sequence[Table], labels: Sequence[str]
 ) -> None:
-    """Put the table into a report, and a warning for each log (trial) that is apart from the
-    others, in place. labels: of the logs, none of one log.
+    """Put the table into a report, and a warning for each log that is apart from the others, in
+    place; odd trials of one log are told of by themselves (`quality.trial_words`).
+
+    Args:
+        report, evidence: What the page is made of.
+        rows: Of `tabled`.
+        labels: Of the logs, none of one.
     """
     report["numbers"] = list(rows)
-    by: dict[str, list[str]] = {}
-    for row in rows:
-        for name in row["apart"]:
-            one = next(e["value"] for e in row["each"] if e["of"] == name)
-            told = f"{row['name']} ({one:.3g} {row['unit']}, of all {row['value']:.3g})"
-            by.setdefault(name, []).append(told)
-    kind = "log" if labels else "trial"
-    for name, told in by.items():
+    for label in labels:
+        told = [
+            f"{row['name']} ({one['value']:.3g} {row['unit']}, of all {row['value']:.3g})"
+            for row in rows
+            for one in row["each"]
+            if one["of"] == label in row["apart"]
+        ]
+        if not told:
+            continue
         more = len(told) - NUMBERS.told
-        also = f"; and {more} more" if more > 0 else ""
         line = (
-            f"The {kind} {name} contradicts the others: {'; '.join(told[: NUMBERS.told])}{also}. "
-            "Was something else mounted, or logged, there? Diagnose without it, and it alone."
+            f"The log {label} contradicts the others: {'; '.join(told[: NUMBERS.told])}"
+            f"{f'; and {more} more' if more > 0 else ''}. Was something else mounted, or logged, "
+            "there? Diagnose without it, and it alone."
         )
         report["warnings"] = [*report.get("warnings", []), line]
-        mark = {"severity": "warn", "where": "numbers", "message": line}
+        mark = {"severity": "warn", "where": label, "message": line}
         evidence["audit"] = [mark, *evidence.get("audit", [])]

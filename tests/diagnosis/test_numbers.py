@@ -73,7 +73,9 @@ def test_one_log_goes_by_its_trials():
 def test_a_log_apart_is_a_warning():
     report, evidence = {"warnings": ["before"]}, {"audit": []}
     rows = tabled(*recorded({3: np.array([0.8, 0.0, 0.0])}, seed=0))
-    add_numbers(report, evidence, rows, ["day0"])
+    add_numbers(report, evidence, rows, [f"day{k}" for k in range(LOGS)])
     assert len(report["warnings"]) == 2 and "The log day3 contradicts" in report["warnings"][1]
     assert evidence["audit"][0]["severity"] == "warn"
+    add_numbers(report, evidence, rows, ())
+    assert len(report["warnings"]) == 2
     assert report["numbers"][0]["value"] == pytest.approx(rows[0]["value"])
