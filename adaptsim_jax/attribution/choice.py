@@ -11,6 +11,7 @@ from adaptsim_jax.attribution.criteria import CHOICE
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.log import Log
+from adaptsim_jax.logs.pool import Data, logs_of
 from adaptsim_jax.logs.read import read_source_and_log
 from adaptsim_jax.mechanisms.spec import Source
 from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_balls
@@ -30,16 +31,14 @@ class Choice:
     log: Log | None = None
 
 
-def choose(data: str | Path, model: str | Path | None, asked: str | None, horizon: float) -> Choice:
+def choose(data: Data, model: str | Path | None, asked: str | None, horizon: float) -> Choice:
     """For a recording and a model file. asked: `tree`, `mujoco`, or None: what meta.toml says, else
     what the model needs.
 
     Raises BadInput where the files cannot be read, or MuJoCo is asked for what is no model file.
     """
     own = model is not None and Path(model).suffix.lower() == ".toml"
-    if not Path(data).exists():
-        raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
-    if own or declared_task(data) == "pendulum":
+    if own or declared_task(logs_of(data)[0]) == "pendulum":
         if asked == "mujoco":
             raise BadInput(
                 f"{model or data}: simulator mujoco wants a model file (MJCF or URDF); give "

@@ -398,7 +398,7 @@ def _parameters(d: ServoDiagnosis, e: ServoEffect) -> dict[str, Table]:
         out["reach"]["meaning"] = "outward from the centre of mass of the body that carries it"
     if e.name == SATURATION.name and not law.inside:
         inner = float(inner_damping(s, law.damping))
-        out["unloaded_speed"] = _row(law.limit / max(inner, 1e-12), 0.0, _unit(s, "rad/s"))
+        out["unloaded_speed"] = _row(law.limit / max(inner, 1e-12), 0.0, unit_of(s, "rad/s"))
         out["unloaded_speed"]["meaning"] = "at which the limit leaves no torque"
     return out
 
@@ -427,15 +427,15 @@ def _number(d: ServoDiagnosis, j: int, name: str, at: tuple[int, str]):
         wide = ends * spread * size
         if name == "rub" and "scale" in d.found.found.model.fits[j].free:
             wide = float(np.hypot(wide, ends * d.found.spread([(j, "scale")]) * value))
-        return key, value, None if file >= OPEN else file, _unit(s, unit), wide
+        return key, value, None if file >= OPEN else file, unit_of(s, unit), wide
     problem = d.found.whole.problems[j]
     size = d.found.whole.rotor_unit if at == (SHARED_BY_ALL, "rotor") else problem.scales.unit(name)
     wide = ends * d.found.spread([at]) * size
     if name == "offset":  # a torque, as the effect has it
-        return key, value * law.kp, 0.0, _unit(s, "N m"), wide * law.kp
+        return key, value * law.kp, 0.0, unit_of(s, "N m"), wide * law.kp
     if name == "rotor":
         value, file = value + s.armature, s.armature
-    return key, value, file, _unit(s, unit), wide
+    return key, value, file, unit_of(s, unit), wide
 
 
 UNIT_OF = {
@@ -452,7 +452,8 @@ UNIT_OF = {
 }
 
 
-def _unit(s: Servo, unit: str) -> str:
+def unit_of(s: Servo, unit: str) -> str:
+    """A unit of a hinge, as a servo that slides has it."""
     return unit_at(unit, "slide" if s.slides else "hinge")
 
 
@@ -467,11 +468,11 @@ def _gains(d: ServoDiagnosis, j: int) -> dict[str, Table]:
     """kp, damping and their ratio at a joint."""
     s, law, ends = d.recording.servos[j], d.found.laws[j], d.found.ends()
     whole = ends * d.found.spread([(j, "scale"), (j, "damping")])
-    out = {"damping": _times(law.damping, whole, _unit(s, "N m s/rad")) | {"file": s.law.damping}}
+    out = {"damping": _times(law.damping, whole, unit_of(s, "N m s/rad")) | {"file": s.law.damping}}
     if s.follows_speed:
         return out
     ratio = _times(law.damping / law.kp, ends * d.found.spread([(j, "damping")]), "s")
-    gain = _times(law.kp, ends * d.found.spread([(j, "scale")]), _unit(s, "N m/rad"))
+    gain = _times(law.kp, ends * d.found.spread([(j, "scale")]), unit_of(s, "N m/rad"))
     ratio |= {"file": s.law.damping / s.law.kp, "meaning": "damping over kp"}
     gain["meaning"] = f"the controller's stiffness; the file says {s.law.kp:.4g}"
     if not d.shows_gain(j):
@@ -503,7 +504,7 @@ def _declared(d: ServoDiagnosis, model: ServoModel) -> Table:
         for key, number, unit in (("kp", law.kp, "N m/rad"), ("damping", law.damping, "N m s/rad")):
             if key == "kp" and s.follows_speed:
                 continue
-            plain = {"value": number, "low": number, "high": number, "unit": _unit(s, unit)}
+            plain = {"value": number, "low": number, "high": number, "unit": unit_of(s, unit)}
             row = {k: z for k, z in own.get(key, plain).items() if k != "meaning"}
             known = not fitted or d.knows_scale(j)
             rows[f"{key} of {s.name}"] = row | {"identifiable": known, "file": getattr(s.law, key)}

@@ -26,9 +26,11 @@ from adaptsim_jax.attribution.posed import DiagnosisSetting, scaled
 from adaptsim_jax.core.files import output_folder
 from adaptsim_jax.core.progress import Report, notes_of
 from adaptsim_jax.diagnosis.criteria import Criteria
+from adaptsim_jax.diagnosis.numbers import add_numbers
 from adaptsim_jax.diagnosis.run import Page, Run, command_of
 from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest, Output, cleared, finished
 from adaptsim_jax.effects.base import Effect
+from adaptsim_jax.logs.pool import Data
 from adaptsim_jax.logs.quality.findings import AuditFinding
 from adaptsim_jax.logs.quality.trial_words import add_trials
 
@@ -36,7 +38,7 @@ HORIZON = CHOICE.horizon
 
 
 def diagnose(
-    data: str | Path,
+    data: Data,
     *,
     model: str | Path | None = None,
     out: str | Path | None = None,
@@ -50,8 +52,8 @@ def diagnose(
     effects: Sequence[Effect] | None = None,
     yardstick: str | None = None,
 ) -> dict[str, Any]:
-    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`).
-    Returns the report and, with `out`, writes it with `model.xml`.
+    """Diagnose a recording (a folder with `task = "mechanism"`, or a log file with `model`; or
+    several of one machine, pooled). Returns the report and, with `out`, writes it with `model.xml`.
 
     Raises BadInput where the data or the model cannot be read, or the data contradict what is
     declared of their columns.
@@ -88,6 +90,7 @@ def diagnose(
     if answer is None:
         answer = of_tree.answered(machine, setting, asked, notify)
     _add_signals(answer, machine, warned)
+    add_numbers(answer.report, answer.evidence, answer.numbers, machine.log.labels)
     output = Output(folder, page, answer.files, answer.verify)
     return finished(answer.report, answer.evidence, asked.run, output)
 

@@ -11,6 +11,7 @@ from adaptsim_jax.attribution.pendulum import pendulum_machine
 from adaptsim_jax.core.errors import BadInput
 from adaptsim_jax.logs.declared import declared_task
 from adaptsim_jax.logs.pendulum import read_pendulum
+from adaptsim_jax.logs.pool import Data, logs_of
 from adaptsim_jax.logs.quality.audit import audit, usable
 from adaptsim_jax.logs.read import joined, read_source_and_log
 from adaptsim_jax.mend.model_toml import read_model_table
@@ -18,15 +19,15 @@ from adaptsim_jax.simulators.mujoco.build import make_stepped_model, turns_of_ba
 from adaptsim_jax.simulators.mujoco.touching import touching
 
 
-def load(data: str | Path, model: str | Path | None = None) -> Machine:
-    """Read a recording (of a mechanism, or of the double pendulum of `task = "pendulum"`) and its
-    model.
+def load(data: Data, model: str | Path | None = None) -> Machine:
+    """Read a recording (of a mechanism, in one log or several, or of the double pendulum of
+    `task = "pendulum"`) and its model.
 
     Raises BadInput that names file, key and mend.
     """
-    if not Path(data).exists():
-        raise BadInput(f"{data}: does not exist; give a folder of recordings, or one log")
-    join = _of_pendulum if declared_task(data) == "pendulum" else _joined
+    logs = logs_of(data)
+    of_a_rig = len(logs) == 1 and declared_task(logs[0]) == "pendulum"
+    join = _of_pendulum if of_a_rig else _joined
     if model is None or Path(model).suffix.lower() != ".toml":
         return join(data, model)
     given, declared = read_mended(model)
@@ -52,7 +53,7 @@ def read_mended(model: str | Path) -> tuple[dict[str, Any], Path]:
     return given, Path(model).parent / declared
 
 
-def _of_pendulum(data: str | Path, model: str | Path | None) -> Machine:
+def _of_pendulum(data: Any, model: str | Path | None) -> Machine:
     """The recording of a rig with a model file of it."""
     if model is None:
         raise BadInput(
@@ -63,7 +64,7 @@ def _of_pendulum(data: str | Path, model: str | Path | None) -> Machine:
     return pendulum_machine(usable(log, audit(log)), model)
 
 
-def _joined(data: str | Path, model: str | Path | None) -> Machine:
+def _joined(data: Data, model: str | Path | None) -> Machine:
     """See `machine`. Raises BadInput where the base moves, which a tree of joints has not."""
     source, log = read_source_and_log(data, model)
     if base_moves(log):

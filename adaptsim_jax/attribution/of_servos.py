@@ -6,6 +6,7 @@ from adaptsim_jax.attribution import closed_loop, servo_files
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import WHOLE
 from adaptsim_jax.attribution.posed import DiagnosisSetting
+from adaptsim_jax.attribution.servo_numbers import number_rows
 from adaptsim_jax.core.progress import Note
 from adaptsim_jax.diagnosis.written import Answer, DiagnosisRequest, write_partial
 
@@ -29,4 +30,4 @@ def answered(
         return None
     report, evidence = closed_loop.reported(found)
     files, verify = servo_files.files(found, asked.made), servo_files.verifier(found)
-    return Answer(report, evidence, files, verify)
+    return Answer(report, evidence, files, verify, number_rows(found))

@@ -17,6 +17,7 @@ from adaptsim_jax.attribution.inquiry import Examined
 from adaptsim_jax.attribution.machine import Machine
 from adaptsim_jax.attribution.measures import TORQUE
 from adaptsim_jax.attribution.mend import gain_notes, gains, lost, mjcf_files
+from adaptsim_jax.attribution.numbers import number_rows
 from adaptsim_jax.attribution.physical_inertias import named_by, otherwise
 from adaptsim_jax.attribution.posed import DiagnosisSetting
 from adaptsim_jax.attribution.replay import follows, recommended
@@ -39,7 +40,8 @@ def answered(
     if asked.folder is not None:
         verify = partial(_verified, asked, found)
     summary = {k: report[k] for k in ("verdict", "message")} | asked.made
-    return Answer(report, evidence, _files(found, summary), verify)
+    numbers = number_rows(found, report["declared"]["after"])
+    return Answer(report, evidence, _files(found, summary), verify, numbers)
 
 
 def _add_unlike(report: Table, e: Examined) -> None:

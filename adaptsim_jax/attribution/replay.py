@@ -42,6 +42,7 @@ from adaptsim_jax.diagnosis.criteria import REPORT
 from adaptsim_jax.diagnosis.recommended import FileReplay, joint_errors
 from adaptsim_jax.diagnosis.straight import doing_nothing, skill
 from adaptsim_jax.effects.joints.catalogue import MACHINE
+from adaptsim_jax.logs.pool import Data
 from adaptsim_jax.logs.quality.contradictions import AS_DECLARED
 from adaptsim_jax.simulators.mujoco.replay import replayed as mujoco_replayed
 
@@ -219,7 +220,7 @@ def replayed(problem: TreeProblem, vector: Vector, horizon: float, roughly: bool
 
 def replay_files(
     model: str | File | None,
-    data: str | File,
+    data: Data,
     horizon: float = 0.5,
     asked: Sequence[str] | None = None,
     simulator: str | None = None,
@@ -244,7 +245,7 @@ def replay_files(
 
 
 def recommended(
-    data: str | File,
+    data: Data,
     declared: str | File | None,
     simulator: str,
     spans: Mapping[str, float],

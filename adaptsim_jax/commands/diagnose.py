@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import shlex
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -22,6 +22,7 @@ EXAMPLES = """
   adaptsim diagnose logs/rig --out out2 --seed 1
   adaptsim diagnose logs/rig --out out3 --exclude backlash hard_stop        what this rig cannot have
   adaptsim diagnose logs/robot --out out4       any mechanism: meta.toml says task = "mechanism", model = "robot.xml"
+  adaptsim diagnose day1 day2 day3 --out out13  one machine on several days: pooled, and which day contradicts the others
   adaptsim diagnose logs/pushes --out out6      the push: meta.toml says task = "pushing"; actions.csv and tracks beside it
   adaptsim diagnose logs/scoops --out out8      the scoop: task = "scooping", likewise
   adaptsim diagnose logs/tosses --out out9      a tossed body: task = "toss", model = "cube.xml"; poses beside it
@@ -38,17 +39,21 @@ def run(args: argparse.Namespace) -> int:
     from adaptsim_jax.core import process
     from adaptsim_jax.core.progress import progress
 
-    data = Path(args.data)
-    check_folders(data, Path(args.out))
+    several = len(args.data) > 1
+    for path in args.data:
+        check_folders(Path(path), Path(args.out))
+    args.data = tuple(args.data) if several else args.data[0]
     if "jax" not in sys.modules:  # else a Python program called us, which may have compiled already
         process.small_steps()
     named = args.simulator not in (None, "tree", "mujoco")
-    task = trials_task(data) if args.model is None and not named else None
+    if named and several:
+        raise BadInput(f"--simulator {args.simulator}: takes one DATA; several logs are of a tree")
+    task = None if several or named or args.model else trials_task(Path(args.data))
     if named:
         read = own_simulator
     elif task:
         read = diagnose_trials
-    elif args.model is not None or of_a_mechanism(data):
+    elif several or args.model is not None or of_a_mechanism(Path(args.data)):
         read = mechanism
     else:
         read = pendulum
@@ -258,20 +263,22 @@ def print_answer(args: argparse.Namespace, result: Table, out: Path, replays: bo
         (out / name for name in ("model.toml", "model.xml") if (out / name).exists()), None
     )
     if replays and model is not None and args.model is None:
+        from adaptsim_jax.logs.pool import paths_of
+
         which = "mended" if result["effects"] else "fitted"
         next_step(
-            f"replay {shlex.quote(str(model))} {shlex.quote(args.data)}    the {which} model over "
-            "a recording"
+            f"replay {shlex.quote(str(model))} {shlex.quote(str(paths_of(args.data)[0]))}    the "
+            f"{which} model over a recording"
         )
     return 0
 
 
-def diagnose(data: str | Path | Log, **options: Any) -> Table:
+def diagnose(data: str | Path | Sequence[str | Path] | Log, **options: Any) -> Table:
     """Which effects recorded trials show that their declared model lacks.
 
     Args:
-        data: A folder with `meta.toml`, one log (with `model=`), or the log of a double pendulum
-            that was read.
+        data: A folder with `meta.toml`, one log (with `model=`), several of one mechanism, or the
+            log of a double pendulum that was read.
         options: `out` (folder for report, page and mended models), `model`, `exclude`, `without`,
             `effects`, `criteria`, `progress`, `as_declared`, as far as the data's task has them
             (`attribution.diagnose.diagnose`, `attribution.pendulum_diagnosis.diagnose_pendulum`).
@@ -283,8 +290,9 @@ def diagnose(data: str | Path | Log, **options: Any) -> Table:
     from adaptsim_jax.report.diagnosis import write_diagnosis
 
     options.setdefault("page", write_diagnosis)
-    if isinstance(data, (str, Path)) and (
-        options.get("model") is not None or of_a_mechanism(Path(data))
+    one = isinstance(data, (str, Path))
+    if isinstance(data, (list, tuple)) or (
+        one and (options.get("model") is not None or of_a_mechanism(Path(data)))
     ):
         from adaptsim_jax.attribution.diagnose import diagnose as of_mechanism
 

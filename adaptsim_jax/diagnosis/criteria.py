@@ -202,8 +202,24 @@ class ReportCriteria:
     followed: float = 1.5  # times the noise floor, up to which trials count as followed
 
 
+@dataclass(frozen=True)
+class NumberCriteria:
+    """The table of numbers by trial and log (`numbers.py`)."""
+
+    level: float = 0.01  # probability of one false contradiction or more, over the whole table
+    blocks: int = 1000  # of a t test, which shows any p however few there are
+    # of what all know, that holds a trial or a log by itself where it shows nothing: where this is
+    # more than half of what is known of a number, the part does not tell of it
+    held: float = 1e-3
+    min_parts: int = 3  # logs, from which on their spread is a sample, and one can be told apart
+    min_freedom: int = 3  # trials more than logs, from which on these tell how far a log may be off
+    exchanged: float = 0.9  # correlation, from which on two numbers can be exchanged
+    told: int = 3  # numbers of a contradiction in its sentence
+
+
 FOLD = FoldCriteria()
 PAIRED = PairedTestCriteria()
 RESTART = RestartCriteria()
 LOOK_ALIKE = LookAlikeCriteria()
 REPORT = ReportCriteria()
+NUMBERS = NumberCriteria()

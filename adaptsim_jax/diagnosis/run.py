@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import adaptsim_jax
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.core.files import write_json
+from adaptsim_jax.logs.pool import Data, paths_of
 
 Page = Callable[[Path, Table, Table], None]
 """Writes a report into a folder, `(folder, report, evidence)`."""
@@ -46,7 +47,7 @@ OPTIONS = (
 """Options of `adaptsim diagnose`, as it is told how to give an answer again."""
 
 
-def command_of(data: str | Path, out: str | Path | None = None, **given: Any) -> str:
+def command_of(data: Data, out: str | Path | None = None, **given: Any) -> str:
     """The command that gives the same answer.
 
     Args:
@@ -55,7 +56,7 @@ def command_of(data: str | Path, out: str | Path | None = None, **given: Any) ->
         given: `OPTIONS` by name; what is None, false or empty is left to the command.
     """
     assert not set(given) - set(OPTIONS), given
-    words = ["adaptsim", "diagnose", str(data), "--out", str(out or "again")]
+    words = ["adaptsim", "diagnose", *map(str, paths_of(data)), "--out", str(out or "again")]
     for name in OPTIONS:
         value = given.get(name)
         if not value:

@@ -11,6 +11,8 @@ it finds them; all but the last two are checked:
     warnings, notes       [sentence]                                        of the audit and the
     reader. The terminal shows them too trials                {differ, leave_out, headline, each:
     [{trial, error, unexplained_torque, size, odd}]}    `quality.trial_words`
+    numbers               [{name, unit, value, low, high, trials, logs, each, apart, like}] by
+    trial and log (`diagnosis.numbers`)
     error.stretch_s            length of the stretches that errors are simulated over
     error.noise_floor_source   a few words: repeats, smoothing residual, declared sensor noise
     power                 [{name, where, size, unit, power, alone?, rival?}] share found of what was
@@ -228,6 +230,11 @@ def report_schema() -> Table:
     }
     error = dict.fromkeys(ERROR_KEYS[:2], TEXT) | dict.fromkeys(ERROR_KEYS[2:5], SIZE)
     error |= {"per_channel": _table_of(pair), "per_trial": _list_of(pair)}
+    part = {"of": TEXT, "value": NUMBER, "low": NUMBER, "high": NUMBER}
+    like = {"name": TEXT, "correlation": NUMBER | {"minimum": -1, "maximum": 1}}
+    number = {"name": TEXT, "unit": {"type": "string"}, "value": NUMBER, "low": NUMBER}
+    number |= {"high": NUMBER, "trials": SIZE, "logs": SIZE, "apart": SENTENCES}
+    number |= {"each": _list_of(_record(part)), "like": _list_of(_record(like))}
     counted = {"anyOf": [{"type": "array"}, SIZE]}
     required = {
         "schema": {"const": SCHEMA},
@@ -242,7 +249,8 @@ def report_schema() -> Table:
         "declared": _record({"before": _table_of(declared), "after": _table_of(declared)}),
         "next_experiment": {},
     }
-    return _record(required, dict.fromkeys(("not_established", "warnings", "notes"), SENTENCES))
+    further = dict.fromkeys(("not_established", "warnings", "notes"), SENTENCES)
+    return _record(required, further | {"numbers": _list_of(_record(number))})
 
 
 @functools.cache

@@ -19,6 +19,7 @@ from adaptsim_jax.diagnosis.report import Account, Headline, report_of, words
 from adaptsim_jax.diagnosis.rows import LOGS, declared_rows, label, over_floor, scored
 from adaptsim_jax.diagnosis.run import Page, Run, plain
 from adaptsim_jax.diagnosis.schema import check
+from adaptsim_jax.logs.pool import Data, paths_of
 
 MODEL, NEXT, FAULTS = "model.toml", "next_experiment.csv", "faults.txt"
 OF_OTHERS = (
@@ -148,13 +149,14 @@ class DiagnosisRequest:
     """What a diagnosis was asked of.
 
     Args:
-        data, model: The recording and its model file, None: as its meta.toml says.
+        data, model: The recording, one log or several, and its model file, None: as its
+            meta.toml says.
         folder: None: nothing is written.
         without: Trials that are left out.
         run: How it was called, and when.
     """
 
-    data: str | Path
+    data: Data
     model: str | Path | None
     folder: Path | None
     without: tuple[str, ...]
@@ -163,7 +165,7 @@ class DiagnosisRequest:
     @property
     def made(self) -> Table:
         """How a file was made, as it says."""
-        return {"data": str(self.data), **self.run.as_dict()}
+        return {"data": ", ".join(map(str, paths_of(self.data))), **self.run.as_dict()}
 
 
 @dataclass(frozen=True)
@@ -175,12 +177,14 @@ class Answer:
         evidence: The arrays behind its page.
         files: What makes the text of each file, by name.
         verify: Runs the files that were written (`write_all`).
+        numbers: Each number by trial and log (`diagnosis.numbers`).
     """
 
     report: Table
     evidence: Table
     files: Mapping[str, Callable[[], str]]
     verify: Callable[[Path], Table] | None
+    numbers: Sequence[Table] = ()
 
 
 @dataclass(frozen=True)

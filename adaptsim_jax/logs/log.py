@@ -167,6 +167,7 @@ class Log:
       (None: nothing was logged). They are not among `joint_names`.
     - `input_columns [m]`: The column that each actuator's command was read from.
     - `unlike`: Joints whose followers do not follow as the model says.
+    - `labels`: Of the logs that were pooled, by which their trials' names begin; none of one log.
     """
 
     path: str
@@ -180,11 +181,17 @@ class Log:
     held: dict[str, float | None] = field(default_factory=dict)
     input_columns: tuple[str, ...] = ()
     unlike: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
 
     @property
     def samples(self) -> int:
         """Rows over all trials."""
         return sum(len(trial.time) for trial in self.trials)
+
+    def label_of(self, trial: str) -> str:
+        """The label of the log that a trial is of; its own name where there is one log."""
+        mine = [label for label in self.labels if trial.startswith(f"{label}/")]
+        return max(mine, key=len, default=trial)
 
     def pick(self, names: Sequence[str]) -> Log:
         """The log with these trials only, in this order; BadInput names one that is not there."""

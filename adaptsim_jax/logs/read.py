@@ -24,6 +24,7 @@ from adaptsim_jax.logs.assemble import assemble
 from adaptsim_jax.logs.beside import instead
 from adaptsim_jax.logs.log import Log, ModelNames, model_names, restrict_log
 from adaptsim_jax.logs.log_meta import LogMeta, read_log_meta
+from adaptsim_jax.logs.pool import Data, agreed, labelled, labels_of, logs_of
 from adaptsim_jax.logs.tables import ENDINGS, RawTrial, read_files, table_files
 
 if TYPE_CHECKING:
@@ -73,19 +74,33 @@ def read_with_model(
 
 
 def read_source_and_log(
-    source: str | Path, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
+    source: Data, model: str | Path | None = None, meta: LogMeta | str | Path | None = None
 ) -> tuple[Source, Log]:
-    """Read the model file as it is, and the log of all its joints."""
-    source, meta, notes = _source_and_meta(source, meta)
-    path = str(model) if model is not None else meta.model
+    """Read the model file as it is, and the log of all its joints: of several logs of one machine
+    their trials together.
+    """
+    logs = logs_of(source)
+    metas, notes = zip(*(_meta(path, meta) for path in logs), strict=True)
+    labels = labels_of(logs) if len(logs) > 1 else ()
+    one = agreed(metas, labels, model is not None) if labels else metas[0]
+    path = str(model) if model is not None else one.model
     if path is None:
-        where = meta.path or source
+        where = one.path or logs[0]
         raise BadInput(
             f'{where}: no model is named; write model = "robot.xml" in meta.toml, or give one by '
             f"--model"
         )
     file, names = names_of(path)
-    return file, _read(source, names, meta, notes)
+    if not labels:
+        return file, _read(logs[0], names, one, notes[0])
+    trials = [
+        trial
+        for path, own, label in zip(logs, metas, labels, strict=True)
+        for trial in labelled(read_raw(Path(own.data or path), own, names), label)
+    ]
+    log = assemble(", ".join(map(str, logs)), trials, names, one)
+    told = tuple(dict.fromkeys(note for some in notes for note in some))
+    return file, replace(log, notes=told + log.notes, labels=labels)
 
 
 def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
@@ -104,13 +119,8 @@ def joined(source: Source, log: Log) -> tuple[Mechanism, Log]:
 def _source_and_meta(
     source: str | Path, meta: LogMeta | str | Path | None
 ) -> tuple[Path, LogMeta, tuple[str, ...]]:
-    source = Path(source)
-    if not source.exists():
-        raise BadInput(
-            f"{source}: does not exist; give a folder with meta.toml, or a file (.csv, .npz, "
-            ".mcap, .bag)"
-        )
-    return source, *_meta(source, meta)
+    (path,) = logs_of(source)
+    return path, *_meta(path, meta)
 
 
 def names_of(path: str) -> tuple[Source, ModelNames]:
@@ -122,7 +132,7 @@ def names_of(path: str) -> tuple[Source, ModelNames]:
 
 
 def _read(source: Path, names: ModelNames | None, meta: LogMeta, notes: tuple[str, ...]) -> Log:
-    trials = read_raw(Path(meta.data) if meta.data else source, meta, names)
+    trials = read_raw(Path(meta.data or source), meta, names)
     log = assemble(str(source), trials, names, meta)
     return replace(log, notes=notes + log.notes)
 

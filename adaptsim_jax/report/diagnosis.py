@@ -43,6 +43,8 @@ MOST_LINES = 6
 """Warnings, and notes, that the terminal shows."""
 MOST_CANDIDATES = 8
 """Rows of candidates that the page shows at first."""
+MOST_NUMBERS = 12
+"""Rows of numbers by trial and log, likewise."""
 
 GOES_TO = {
     "pendulum": "adaptsim replay, diagnose and env.toml",
@@ -92,6 +94,9 @@ def render(report: dict[str, Any], evidence: Mapping, out: Path | None = None) -
         "errors": _error_rows(error),
         "error_figures": _error_figures(error),
         "above": above,
+        "numbers": rows_of.number_rows(report),
+        "pooled": any(row["logs"] is not None for row in report.get("numbers") or []),
+        "most_numbers": MOST_NUMBERS,
         "differ": rows_of.by_error(report.get("trials") or {}),
         "above_from": figures.view_side(evidence.get("tracks") or {}),
         "traces": traces,

@@ -142,6 +142,26 @@ def _marks(stages: Mapping[str, Mapping | None]) -> list[Table]:
     ]
 
 
+def number_rows(report: Mapping) -> list[Table]:
+    """Numbers by trial and log, those first in which one is apart: name, value, spread over each,
+    which are apart and what they say, and what can be exchanged.
+    """
+    rows = []
+    for row in report.get("numbers") or []:
+        unit, like = row["unit"], abs(row["value"])
+        each = {e["of"]: fmt.quantity(e["value"], unit, like=like) for e in row["each"]}
+        others = [f"{z['name']} ({fmt.number(z['correlation'], 2)})" for z in row["like"]]
+        spreads = {k: fmt.quantity(row[k], unit, 2, like) for k in ("trials", "logs")}
+        told = {
+            "name": row["name"],
+            "value": fmt.between(row["value"], row["low"], row["high"], unit, like),
+            "apart": [f"{name}: {each[name]}" for name in row["apart"]],
+            "like": ", ".join(others),
+        }
+        rows.append(told | spreads)
+    return sorted(rows, key=lambda row: not row["apart"])
+
+
 def by_error(trials: Mapping) -> list[Mapping]:
     """Trials with their own errors, where some of them differ: those first, then by error."""
     if not trials.get("headline"):

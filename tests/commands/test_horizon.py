@@ -79,7 +79,7 @@ def test_the_command_of_a_report_says_all_that_changes_the_answer():
     args = command_parser("diagnose").parse_args(shlex.split(command)[2:])
     assert {key: getattr(args, key) for key in told} == told
     assert (args.data, args.out, args.exclude, args.without) == (
-        "my log",
+        ["my log"],
         "out",
         ["backlash"],
         ["a", "b"],

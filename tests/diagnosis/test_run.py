@@ -11,7 +11,7 @@ from adaptsim_jax.diagnosis.run import Run, command_of
 def test_the_report_names_the_command_that_repeats_it():
     again = cli.parse(shlex.split(command_of("logs/my rig"))[1:])
     assert (again.data, again.seed, again.exclude, again.without, again.model) == (
-        "logs/my rig",
+        ["logs/my rig"],
         0,
         [],
         [],
@@ -26,7 +26,8 @@ def test_the_report_names_the_command_that_repeats_it():
     }
     again = cli.parse(shlex.split(command_of("logs", out="there", **given))[1:])
     assert {name: getattr(again, name) for name in given} == given
-    assert (again.data, str(again.out)) == ("logs", "there")
+    assert (again.data, str(again.out)) == (["logs"], "there")
+    assert command_of(("day 1", "day2")) == "adaptsim diagnose 'day 1' day2 --out again"
 
 
 def test_a_run_tells_its_seconds_when_it_is_over():

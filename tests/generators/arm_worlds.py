@@ -3,6 +3,8 @@ torque, slow motions, inertias off.
 
     write_arm(folder, robot, kind, seed)     -> folder/model.xml, meta.toml, trial_*.csv; the truth
     is returned
+    write_days(folder, robot, seed)          -> folder/day1, day2, ..., each such a log of one arm,
+    one with a payload, one with a late clock
 
 Shares no code with the package: MuJoCo steps it, with its own Coulomb friction (nearly rigid), and
 a computed-torque controller that does
@@ -93,6 +95,59 @@ def _load(spec, rng) -> float:
     return mass
 
 
+def write_days(
+    folder: Path,
+    robot: Path,
+    seed: int,
+    days: int = 6,
+    trials: int = 3,
+    seconds: float = 10.0,
+    loaded: str = "day3",
+    late: str = "day5",
+    payload: float = 0.5,
+    rows: int = 2,
+    rate: int = 100,
+    noise: float = 1e-4,
+) -> dict:
+    """Logs of one arm with dry friction. payload: kg at the last body on the day `loaded`; rows: by
+    which the torques of the day `late` come after the angles.
+    """
+    rng = np.random.default_rng(seed)
+    spec, n = _arm(robot)
+    weight, reach = _torques(spec.compile(), rng)
+    level = weight * rng.uniform(0.2, 0.45, n)
+    viscous = level * rng.uniform(0.3, 1.0, n)
+    for j, joint in enumerate(spec.joints):
+        joint.frictionloss, joint.damping = level[j], [viscous[j], 0.0, 0.0]
+        joint.solref_friction, joint.solimp_friction = [0.002, 1.0], [0.99, 0.999, 0.001, 0.5, 2.0]
+    plain = spec.compile()
+    held = [b for b in spec.bodies if b.mass > 0][-1].add_body(pos=[0.0, 0.0, 0.08])
+    held.mass, held.inertia, held.explicitinertial = payload, [4e-4] * 3, True
+    heavy = spec.compile()
+    declared, _ = _arm(robot)
+    _disturb(declared, rng)
+    settings = (level, viscous, np.ones(n), np.zeros(n), reach, rng, seconds, rate, noise)
+    for day in (f"day{k + 1}" for k in range(days)):
+        (folder / day).mkdir(parents=True)
+        (folder / day / "model.xml").write_text(declared.to_xml())
+        meta = 'task = "mechanism"\nmodel = "model.xml"\ninput = "torque"\n'
+        (folder / day / "meta.toml").write_text(meta)
+        for k in range(trials):
+            name = f"trial_{k}.csv"
+            _record(folder / day, heavy if day == loaded else plain, *settings, name=name)
+            if day == late:
+                _delay(folder / day / name, n, rows)
+    return {"coulomb": level, "viscous": viscous, "model": plain}
+
+
+def _delay(path: Path, n: int, rows: int) -> None:
+    """The torques of a table so many rows later."""
+    names = path.read_text().splitlines()[0]
+    table = np.loadtxt(path, delimiter=",", skiprows=1)
+    table[rows:, -n:] = table[:-rows, -n:]
+    np.savetxt(path, table[rows:], delimiter=",", header=names, comments="", fmt="%.8g")
+
+
 def _arm(robot: Path):
     """The robot without shapes, sensors, actuators, and with torque-free joints of its first chain
     of at most seven hinges.
@@ -163,7 +218,20 @@ def _disturb(spec, rng) -> None:
             body.ipos = np.asarray(body.ipos) + rng.normal(0, 0.004, 3)
 
 
-def _record(folder, model, level, viscous, gain, offset, reach, rng, seconds, rate, noise) -> None:
+def _record(
+    folder,
+    model,
+    level,
+    viscous,
+    gain,
+    offset,
+    reach,
+    rng,
+    seconds,
+    rate,
+    noise,
+    name="trial_0.csv",
+) -> None:
     n, data = model.nv, mujoco.MjData(model)
     waves = (
         rng.uniform(0.05, 0.35, (4, n)),
@@ -209,4 +277,4 @@ def _record(folder, model, level, viscous, gain, offset, reach, rng, seconds, ra
         rows.append(np.concatenate([[k / rate], data.qpos + noise * rng.normal(size=n), told]))
     assert np.all(np.isfinite(rows)) and np.all(inertia > 0) and dt > 0
     names = ",".join(["time", *(f"q{j + 1}" for j in range(n)), *(f"tau{j + 1}" for j in range(n))])
-    np.savetxt(folder / "trial_0.csv", rows, delimiter=",", header=names, comments="", fmt="%.8g")
+    np.savetxt(folder / name, rows, delimiter=",", header=names, comments="", fmt="%.8g")

@@ -203,7 +203,7 @@ def polish_laws(
         weight = weights(trials, error)
         before = float((np.square(error) * weight).sum()) + trials.pull_loss(model)
         hess, slope = _linearise(trials, model, error, weight, apart)
-        prior_hess, prior_slope = _pull(trials, model)
+        prior_hess, prior_slope = pull(trials, model)
         if not model.coordinates or rounds == 0:
             break
         total, right = hess.sum(0) + prior_hess, slope.sum(0) + prior_slope
@@ -259,7 +259,8 @@ def _linearise(
     return hess, slope
 
 
-def _pull(trials: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
+def pull(trials: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndarray]:
+    """Curvature [K, K] and slope [K] of the pull to the file's scale."""
     count = len(model.coordinates)
     hess, slope, k = np.zeros((count, count)), np.zeros(count), 0
     for p, f in zip(trials.problems, model.fits, strict=True):
@@ -270,7 +271,7 @@ def _pull(trials: WholeTrials, model: FittedServos) -> tuple[np.ndarray, np.ndar
 
 
 def _jackknife_steps(trials: WholeTrials, model: FittedServos, hess, slope) -> np.ndarray:
-    prior = _pull(trials, model)
+    prior = pull(trials, model)
     groups = trials.problems[0].groups
     total, right = hess.sum(0) + prior[0], slope.sum(0) + prior[1]
     room = trials.room(model, 0.7)
@@ -314,7 +315,7 @@ def remove_coordinates(
     if not remaining:
         return new
     distances = np.array([_distance(trials, model, new, c) if c in removed else 0.0 for c in at])
-    prior_hess, prior_slope = _pull(trials, model)
+    prior_hess, prior_slope = pull(trials, model)
     hess, slope = polished.hess.sum(0) + prior_hess, polished.slope.sum(0) + prior_slope
     right = slope[remaining] + hess[remaining] @ distances
     room = trials.room(new, 0.5)
