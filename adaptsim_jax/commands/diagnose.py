@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
     else:
         read = pendulum
     if args.rerun:
-        check_rerun(read)
+        check_rerun(read, several)
     judge = read(args, split_names(args.without))  # refused before anything is written
     from adaptsim_jax.diagnosis.written import faults_into
     from adaptsim_jax.mend.randomisation import write_randomisation
@@ -67,16 +67,16 @@ def run(args: argparse.Namespace) -> int:
         result = judge(out=out, exclude=tuple(args.exclude), progress=report)
         write_randomisation(out)
         if args.rerun:
-            write_rerun(data, out)
+            write_rerun(Path(args.data), out)
     return print_answer(args, result, out, replays=task is None and not named)
 
 
-def check_rerun(read: Any) -> None:
+def check_rerun(read: Any, several: bool) -> None:
     """BadInput where no recording for Rerun can be made."""
     from adaptsim_jax.report.rerun import rerun_module
 
-    if read not in (mechanism, pendulum):
-        raise BadInput("--rerun: shows machines of joints alone; leave it out")
+    if several or read not in (mechanism, pendulum):
+        raise BadInput("--rerun: shows one log of a machine of joints; leave it out")
     rerun_module()
 
 
