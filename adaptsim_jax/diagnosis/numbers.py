@@ -12,11 +12,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
 
 from adaptsim_jax.core.config import Table
 from adaptsim_jax.diagnosis.criteria import NUMBERS
-from adaptsim_jax.diagnosis.testing import deviates, holm, jackknife
+from adaptsim_jax.diagnosis.testing import deviates, holm, jackknife, t_p
 
 
 @dataclass(frozen=True)
@@ -228,7 +227,7 @@ def _against_others(parts: Parts) -> np.ndarray:
     off = np.nan_to_num(parts.off)
     others = ((weight * off).sum(0) - weight * off) / np.where(known, rest, 1.0)
     error = np.sqrt(1.0 / np.where(known, weight, 1.0) + 1.0 / np.where(known, rest, 1.0))
-    p = 2.0 * stats.t.sf(np.abs(off - others) / error, max(parts.freedom, 1))
+    p = t_p((off - others) / error, max(parts.freedom, 1))
     return np.where(known, p, np.nan)
 
 

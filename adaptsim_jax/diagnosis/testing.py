@@ -175,6 +175,11 @@ def deviates(count: int, level: float = REPORT.parameter_level) -> float:
     return float(stats.t.isf(0.5 * (1.0 - level), count - 1))
 
 
+def t_p(t: np.ndarray, freedom: int) -> np.ndarray:
+    """Two-sided p of Student's t."""
+    return 2.0 * stats.t.sf(np.abs(t), freedom)
+
+
 def typical_interval(errors: np.ndarray, unit: np.ndarray) -> list[float] | None:
     """Ends of an interval of the median error, where errors [W, ...] of one unit (a trial) are
     alike; None of one unit.
@@ -235,7 +240,7 @@ def score_p(slope: np.ndarray) -> float:
     t = np.sqrt(count) * slope.mean(0) / np.maximum(slope.std(0, ddof=1), 1e-300)
     alike = np.atleast_2d(np.corrcoef(slope.T))
     if len(t) == 1:
-        return float(2.0 * stats.t.sf(np.abs(t[0]), count - 1))
+        return float(t_p(t[0], count - 1))
     return min(1.0, 2.0 * min(_sum_of_squares(t, alike, count), _hotelling(t, alike, count)))
 
 

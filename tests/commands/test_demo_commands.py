@@ -38,7 +38,9 @@ def test_its_commands_ask_for_the_same(tmp_path, sizes):
         assert (adapt.starts, adapt.iterations) == (sized.starts, sized.iterations)
     for name, data in (("diagnose", HINGE), ("double", PENDULUM)):
         assert (
-            args[name].data == str(data) and (data / "meta.toml").exists() and args[name].seed == 5
+            args[name].data == [str(data)]
+            and (data / "meta.toml").exists()
+            and args[name].seed == 5
         )
     for name in ("train", "train_pushing", "train_scooping", "compare", "diagnose", "double"):
         folder = Path(getattr(args[name], "folder", None) or args[name].out)
