@@ -117,7 +117,7 @@ def tabled(
         within = e.trial if free >= NUMBERS.min_freedom else blocks
         by_log = _alone(by, e, every, log, within, len(named))
     spreads, apart = [_spread(p) for p in (by_trial, by_log)], _apart(by_log)
-    half = deviates(by_log.freedom + 1) * np.sqrt(by_log.variance)
+    half = deviates(max(by_log.freedom, 1) + 1) * np.sqrt(by_log.variance)
     values = [n.value + off * (not n.fitted) for n, off in zip(numbers, by_log.mean, strict=True)]
     rows = []
     for m in np.flatnonzero(by_log.count > 0):
